@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .tracing import read_particles, trace_particles
     from .viewer import Viewer, view
 else:
-    #: What pictures do not need; imported when it is used.
+    #: Module of each name that rendering does not need; imported when the name is used.
     _LATER = {
         "check": "conformance",
         "ParticleResult": "jobs",

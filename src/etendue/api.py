@@ -52,8 +52,8 @@ def render(
     intervals of so many seconds. If a pass fails, or at Ctrl-C, the passes so far are written before the error is
     raised.
 
-    ``cluster`` is the address of a Dask scheduler or a ``distributed.Client``, whose workers make the passes; with
-    ``workers``, so many processes of this machine do, which end with the run. See docs/cluster.md.
+    ``cluster`` is the address of a Dask scheduler or a ``distributed.Client``, whose workers make the passes.
+    ``workers`` is instead a number of processes on this machine, which end with the run. See docs/cluster.md.
 
     Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, :class:`BackendError` or
     :class:`ClusterError`, where possible before the first pass, and :class:`engine.RunError` if a later pass fails.
@@ -90,7 +90,7 @@ def start(
 
     The session has the current picture in ``image`` and the progress in ``progress``. ``cancel()`` ends the run after
     the current pass and waits for it. ``wait()`` and ``result`` raise the error of the run. Options and budgets are
-    checked, and workers are started, before this function returns; they end with the session.
+    checked, and workers are started, before this function returns; the workers end with the session.
     """
     from etendue.distributed import open_cluster
 

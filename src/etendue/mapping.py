@@ -32,11 +32,11 @@ def map_particles(
     ``scene``: as for :func:`etendue.render`; for a file, by default the scene in which it was traced. ``kind``:
     ``histogram``, ``kernel``, ``variable`` or ``knn``; ``options`` are those of :class:`etendue.jobs.MapOptions`:
     ``cells``, ``bandwidth``, ``rule``, ``kernel``, ``boundary``, ``k``. ``save`` names files as of
-    :func:`etendue.jobs.write_map`, ``size`` the largest side of lightmaps in texels. ``callback`` receives a line a
-    pass.
+    :func:`etendue.jobs.write_map`, ``size`` the largest side of lightmaps in texels. ``callback`` receives a line of
+    text for each pass.
 
-    The result has the map, its surfaces and the number of particles; :func:`etendue.surfaces.irradiance_at` asks the
-    map. Raises :class:`OptionError`, :class:`etendue.surfaces.SurfaceError`, and the errors of loading and writing.
+    The result has the map, its surfaces and the number of particles; :func:`etendue.surfaces.irradiance_at` evaluates
+    the map. Raises :class:`OptionError`, :class:`etendue.surfaces.SurfaceError`, and the errors of loading and writing.
     """
     from etendue.jobs import FileSource, MapOptions, check_map_file, make_map, write_map
 

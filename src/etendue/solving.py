@@ -50,9 +50,9 @@ def compute_form_factors(
         ``parameters`` are the values of ``$variables`` of an XML file.
     estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
         default F1, or F4 with a hierarchy.
-    hierarchy: cast lines in a hierarchy of spheres around objects: ``components``, ``shapes``, ``labels`` or an array,
-        see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file; ``True`` for shapes of
-        scenes, components of others. ``walls`` are its walls.
+    hierarchy: cast lines in a hierarchy of spheres around objects, which are ``components``, ``shapes``, ``labels`` or
+        an array, see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file; ``True`` for
+        shapes of scenes, and components of other patches. ``walls`` are the walls of the hierarchy.
     engine, point_set, main_share: ``engine``, ``points`` and ``main_share`` of
         :class:`etendue.radiosity.HierarchicalCastingSettings`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
@@ -63,9 +63,9 @@ def compute_form_factors(
     save: files for the form factors, ``.npz``, ``.nc`` or ``.vf``.
     checkpoint: file for ``resume``, written at the end and, with ``save_every``, at intervals of so many seconds. Lines
         are stored in a folder beside it instead of memory.
-    resume: a checkpoint of the same patches, seed and options to continue; ``bundles`` and ``error`` are limits of the
-        whole, ``seconds`` are those of this run.
-    cluster, workers: what casts the lines, see :func:`etendue.render`.
+    resume: a checkpoint of the same patches, seed and options to continue; ``bundles`` and ``error`` then limit the
+        whole casting, ``seconds`` this run.
+    cluster, workers: processes that cast the lines, see :func:`etendue.render`.
 
     Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError` or :class:`CheckpointError`, where possible
     before lines are cast, and :class:`etendue.engine.RunError` if a later pass fails. In this case, and at Ctrl-C, the
@@ -155,20 +155,21 @@ def solve_radiosity(
     points: number of lines of multipath, in place of ``bundles``; 4,194,304 without limits.
     shot: send the light of small emitters by local rays first.
     ambient: ``classic``, ``crisp`` or ``fuzzy``, see :func:`etendue.radiosity.ambient_solution`: all light by an
-        ambient term, at once and without lines. With ``bounces``, a solution by lines of which the solver makes so many
-        iterations, and only what is left is ambient.
-    sub_scenes: with an ambient solution at once, parts of the scene in which light spreads first: ``shapes``,
+        ambient term, without lines. With ``bounces``, a solution by lines: the solver makes this number of iterations,
+        and only the light left after them is ambient.
+    sub_scenes: with an ambient solution without lines, parts of the scene in which light spreads first: ``shapes``,
         ``components``, ``labels`` or an array of the mesh file, whose objects are the parts; or ``boxes`` around groups
         of objects, or a dictionary of settings of these boxes (``objects``, ``threshold``, ``least``, ``levels``). See
         :func:`etendue.radiosity.hierarchical_ambient`.
-    hierarchy: solve by hierarchical multipath, with boxes around objects: ``True``, what makes objects (``shapes``,
+    hierarchy: solve by hierarchical multipath, with boxes around objects: ``True``, the kind of objects (``shapes``,
         ``components``, ``labels`` or an array of the mesh file), or a dictionary of settings:
         ``objects``, ``threshold``, ``least``, ``levels``, and those of
         :class:`etendue.radiosity.HierarchicalMultipathSettings`. ``bundles`` are then passes of lines (16 by
         default), and the result is an
         :class:`etendue.jobs.HierarchyResult`. The scene may also be a :class:`etendue.radiosity.Part`.
     divide: with ``hierarchy`` and workers, each worker has some of the boxes with their lines, and all make a pass
-        together; otherwise each makes whole passes. The result is the same, with what was sent as ``correspondence``.
+        together; otherwise each makes whole passes. The result is the same, and its ``correspondence`` lists the
+        messages.
     save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, and for pictures of it,
         ``.exr`` or ``.png``. The picture is also in the result.
     size, sensor, gather, samples, smooth: options of pictures, see :func:`etendue.jobs.picture`.
@@ -236,8 +237,8 @@ def start_radiosity(
 
     The session's ``progress`` is that of the casting. ``cancel()`` ends the casting after the current pass, and returns
     when the solution from the lines so far is written. ``wait()`` and ``result`` raise the error of the run. Options,
-    budgets and names of files are checked, and workers are started, before this function returns; they end with the
-    session.
+    budgets and names of files are checked, and workers are started, before this function returns; the workers end with
+    the session.
     """
     asked = locals()
     device = asked.pop("cluster"), asked.pop("workers")

@@ -18,7 +18,7 @@ from etendue.particles import ParticleFile, Particles
 #: Called after each pass; ``False`` ends the tracing.
 Callback = Callable[[Progress], object]
 
-#: Limits as other functions and the command line name them.
+#: Names of limits in other functions and on the command line, and their names here.
 _ELSEWHERE = {"samples": "paths", "spp": "paths", "time": "seconds"}
 
 
@@ -44,19 +44,19 @@ def trace_particles(
 ) -> ParticleResult:
     """Trace light paths of a scene, whose hits on surfaces are particles.
 
-    ``scene``: as for :func:`etendue.render`. ``paths``, ``particles`` (about so many) and ``seconds`` limit the run;
+    ``scene``: as for :func:`etendue.render`. ``paths`` or ``particles`` (approximate), and ``seconds``, limit the run;
     the first limit that is reached ends it. Without limits, a million paths. ``settings`` are those of
     :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others. ``method``:
     ``metropolis_particles`` traces by :class:`etendue.methods.MetropolisParticles`, whose paths are steps of chains.
 
     The result has the :class:`etendue.particles.Particles` in memory, unless ``save`` names a new file to which they
     are written pass by pass, by a ``codec`` (``packed`` by default, see docs/particles.md). ``resume`` names such a
-    file to go on with; limits in paths and particles are those of the whole file, ``scene`` may be ``None`` if it was a
-    file or a bundled one, and all else is that of the file.
+    file to be continued: limits in paths or particles apply to the whole file, ``scene`` may be ``None`` if it was a
+    file or a bundled scene, and everything else is taken from the file.
     ``callback`` is called with a :class:`etendue.core.Progress` after each pass; ``False`` ends the run. At Ctrl-C, or
     if a pass fails, the file has the passes before. ``cluster`` and ``workers`` trace the paths as for
-    :func:`etendue.render`; the particles are the same. ``boxes`` cuts the scene into so many boxes along x, y and z, of
-    which a worker loads one at a time; paths go from worker to worker. See docs/cluster.md.
+    :func:`etendue.render`; the particles are the same. ``boxes``: numbers of boxes along x, y and z into which the
+    scene is cut; each worker holds only a share of them, and paths go from worker to worker. See docs/cluster.md.
 
     Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, and :class:`CheckpointError` if a file
     cannot be resumed.

@@ -138,7 +138,7 @@ Divide = Annotated[
 ]
 
 
-#: Values of options without a name behind them.
+#: Values of options that are given without a name.
 _UNNAMED = {"--hierarchy": "", "--ambient": "fuzzy"}
 
 

@@ -108,7 +108,7 @@ def shown_in_tev(address: str | None, name: str) -> Iterator[Callback | None]:
     if address is None:
         yield None
         return
-    from etendue.display import TevDisplay  # imported late: most of the room is for pages and plots
+    from etendue.display import TevDisplay  # imported late: most of the package is for pages and plots
 
     with TevDisplay(address, name) as display:
         yield lambda update: display.offer(lambda: update.layers)

@@ -18,7 +18,7 @@ from .surfaces import Array, host, points_on, uniform, uniform_sphere, vectors
 
 Mask = NDArray[np.bool_]
 
-#: Cosines of the directions of incidence, on both sides: for all tests but that of the sampler, and for that.
+#: Cosines of the directions of incidence, on both sides: for all tests except ``sampler``, and for ``sampler``.
 _COSINES, _SAMPLED_COSINES = (1.0, 0.9, 0.6, 0.3, 0.1, 0.01), (0.95, 0.6, 0.2)
 #: Deviation of a mean that is a fault, in standard errors.
 _SIGMAS = 5.0
@@ -67,10 +67,11 @@ def check_bsdf(
     """Test a ``mi.BSDF``, at points of ``shape`` in ``scene`` or, without them, of a unit square.
 
     The tests are ``range`` (finite, not negative), ``energy`` (albedo at most 1 for a grid of directions on both sides
-    and points all over the surface), ``reciprocity`` (f(a, b) = f(b, a); refracted light scaled by eta squared),
-    ``weight`` (the weight of a sample is value over density), ``density`` (the density of a sample is that of ``pdf``,
-    which integrates to at most 1), ``sampler`` (sampled directions have that density; ``level`` is the probability that
-    a correct sampler fails) and ``coverage`` (the density is not zero where the material reflects).
+    and points all over the surface), ``loss`` (of clear rough dielectrics), ``reciprocity`` (f(a, b) = f(b, a);
+    refracted light scaled by eta squared), ``weight`` (the weight of a sample is value over density), ``density`` (the
+    density of a sample is that of ``pdf``), ``integral`` (``pdf`` integrates to at most 1), ``sampler`` (sampled
+    directions have that density; ``level`` is the probability that a correct sampler fails) and ``coverage`` (the
+    density is not zero where the material reflects).
     """
     effort = QUICK if quick else Effort()
     rng = np.random.default_rng([seed, 0xB5DF])
@@ -101,7 +102,7 @@ def check_bsdf(
 
 @dataclass
 class _Values:
-    """Values of a material, n lanes; colours have a channel each."""
+    """Values of a material: (n,), or (n, channels) for directions and colours."""
 
     wi: Array
     wo: Array
@@ -168,7 +169,7 @@ def _answers(
 
 
 def _check_range(findings: Findings, drawn: _Draws, anywhere: _Values) -> bool:
-    """Whether the values are valid, as the other tests require."""
+    """Whether enough values are valid for the other tests."""
     wrong, behind, total = 0, 0, 0
     for values, lanes, arrays in (
         (drawn, drawn.drawn, (drawn.value, drawn.back, drawn.pdf)),
@@ -259,7 +260,7 @@ def _check_reciprocity(findings: Findings, drawn: _Draws, anywhere: _Values) -> 
 
 
 def _eta(drawn: _Draws, side: float) -> float:
-    """Relative index of refraction for light paths that cross the surface from a side, from samples that do."""
+    """Relative index of refraction for paths that cross the surface from one side, from samples that cross it."""
     crossing = drawn.smooth & (drawn.wi[:, 2] * side > 0.0) & (drawn.wo[:, 2] * side < 0.0)
     return float(np.median(drawn.eta[crossing])) if crossing.any() else 1.0
 
@@ -323,7 +324,8 @@ def _check_density(
 
 
 def _density(bsdf: mi.BSDF, place: mi.SurfaceInteraction3f) -> Callable[[Array], Array]:
-    """The density ``pdf`` of directions in which ``eval`` is not zero; 0 for others, whose samples have no weight."""
+    """The density ``pdf`` of directions in which ``eval`` is not zero; 0 for other directions, whose samples have no
+    weight."""
 
     def density(directions: Array) -> Array:
         lanes, context, wo = len(directions), mi.BSDFContext(), vectors(directions)

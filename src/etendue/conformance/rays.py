@@ -17,8 +17,8 @@ from .surfaces import Array, host, uniform_sphere, vectors
 
 _RAYS, _TRIANGLES = 2048, 512
 _QUICK = 4
-#: Accepted error of a hit, and least distance to the edges of a triangle that a ray must hit, relative to the scene's
-#: extent.
+#: Accepted error of a hit, and least distance from the edges at which a ray must hit a triangle, relative to the
+#: scene's extent.
 _TOLERANCE = 1e-4
 #: Least cosine of a ray that must hit.
 _LEAST_COSINE = 1e-2

@@ -38,7 +38,7 @@ def check(
 
     ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` uses fewer samples and may miss small
     faults. ``variants``: other Mitsuba variants for the test of ray casting, such as ``scalar_rgb``. The same
-    ``seed`` gives the same report. Unsupported scenes fail the test ``supported``.
+    ``seed`` gives the same report. Unsupported scenes fail the test ``supported``, broken ones the test ``broken``.
 
     Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for an invalid sensor.
     """

@@ -1,4 +1,4 @@
-"""Basics for all rooms, independent of rendering: settings, measurements, methods, random numbers, errors, backend."""
+"""Shared basics, independent of rendering: settings, measurements, methods, random numbers, errors, backend."""
 
 from .backend import check_llvm, check_variant, choose_variant, copied_to_device, on_device, set_threads, use_variant
 from .citations import bibliography, bibtex

@@ -191,7 +191,7 @@ def on_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase
 
 
 def copied_to_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase:
-    """As :func:`on_device`, for many numbers: a kernel copies them. A single one is no literal."""
+    """As :func:`on_device`, for many numbers: a kernel copies them. A single number becomes opaque, not a literal."""
     import drjit as dr
 
     numbers = np.ascontiguousarray(values).ravel()

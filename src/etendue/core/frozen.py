@@ -1,4 +1,4 @@
-"""Functions whose kernels are launched again without being traced anew in Python, and tracing without interruption."""
+"""Functions whose kernels are launched again without being traced anew in Python, and tracing without collection."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ import drjit as dr
 from .log import logger
 
 R = TypeVar("R")
-#: How deep device arrays lie in an object.
+#: Largest depth at which an object is searched for device arrays.
 _DEPTH = 6
-#: Recordings that are kept, for different sizes of arguments.
+#: Number of recordings kept, for different sizes of arguments.
 _RECORDINGS = 8
 
 
 class Frozen(Generic[R]):
-    """A function of device arrays, frozen by ``dr.freeze`` if it can be, and called as it is if not.
+    """A function of device arrays, frozen by ``dr.freeze`` if possible, otherwise called directly.
 
     Parameters
     ----------
-    function: a function of device arrays and of Mitsuba's objects, evaluated or not, which reads no results back. What
-        its Python code does depends on the types and sizes of its arguments only. The object of a bound method is not
-        kept alive, because it usually owns this object.
-    reads: the objects with the device arrays that it reads beside its arguments, asked for at each call.
+    function: a function of device arrays and of Mitsuba's objects, evaluated or not, which reads no results back. Its
+        Python control flow depends only on the types and sizes of its arguments. The object of a bound method is
+        referenced weakly, because it usually owns this :class:`Frozen`.
+    reads: called at each call; returns the objects whose device arrays the function reads beside its arguments.
     """
 
     def __init__(self, function: Callable[..., R], reads: Callable[[], object]) -> None:
@@ -77,14 +77,14 @@ def _weakly(function: Callable[..., Any]) -> Callable[[], Callable[..., Any]]:
 
     def alive() -> Callable[..., Any]:
         found = method()
-        assert found is not None  # its object calls it
+        assert found is not None  # the object itself makes this call
         return found
 
     return alive
 
 
 def _raise_interrupts(error: BaseException) -> None:
-    """Raise what Dr.Jit turned into a RuntimeError if it is no failure, such as KeyboardInterrupt."""
+    """Raise an interrupt, such as KeyboardInterrupt, that Dr.Jit has converted to a RuntimeError."""
     cause: BaseException | None = error
     while cause is not None:
         if not isinstance(cause, Exception):
@@ -93,7 +93,7 @@ def _raise_interrupts(error: BaseException) -> None:
 
 
 class _Collection:
-    """How many threads want no garbage collection, and whether there was one before the first."""
+    """Number of threads that need garbage collection disabled, and whether it was enabled before the first of them."""
 
     lock: ClassVar = threading.Lock()
     count: ClassVar[int] = 0
@@ -102,9 +102,9 @@ class _Collection:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Without garbage collection, in any thread. While kernels are traced, Dr.Jit calls Python for all lights and
-    materials there are; the process dies if a collection deletes a scene then, or another frozen function while one is
-    recorded."""
+    """Disable garbage collection in all threads. While kernels are traced, Dr.Jit calls Python for every light and
+    material; the process crashes if a collection then deletes a scene, or, while a function is recorded, another frozen
+    function."""
     with _Collection.lock:
         if not _Collection.count:
             _Collection.was_on = gc.isenabled()
@@ -125,7 +125,7 @@ def device_parts(root: object) -> list[Any]:
 
     found: list[Any] = []
     seen: set[int] = set()
-    waiting = deque([(root, 0)])  # the shallow ones first: what is seen again is not nearer
+    waiting = deque([(root, 0)])  # breadth first: an object is first reached at its least depth
     while waiting:
         value, depth = waiting.popleft()
         parts: Iterable[Any] = ()

@@ -50,7 +50,7 @@ def private_directory(prefix: str = sys.prefix) -> Path:
 
 
 def find() -> list[Library]:
-    """All LLVM libraries found, best first: that of the environment, version 19, the newest; unusable ones last."""
+    """All LLVM libraries found: those in :func:`private_directory`, version 19, then the newest; unusable last."""
     own = private_directory()
     seen: dict[Path, Library] = {}
     for path in _candidates():

@@ -184,7 +184,7 @@ class Measurement:
         return self
 
     def _weighs_like(self, other: Measurement, name: str) -> bool:
-        """Whether the passes of both have the same weight, if the passes of each have."""
+        """Whether the passes of both have the same weight, given that those of each measurement have."""
         mine, theirs = (m.squared_weights[name] / m.weights[name] for m in (self, other))
         return math.isclose(mine, theirs, rel_tol=1e-12)
 

@@ -64,8 +64,8 @@ class Method(Protocol):
     - ``finish_seconds(measurement) -> float``: time of the work after the last ``step``; a run with a budget in seconds
       ends earlier by this time.
     - ``plan(seconds, passes, error)``: called before the first ``step`` of a run with its budget, ``None`` for each
-      quantity without a limit. ``passes`` are those that are left; ``seconds`` are not less by the time that preparing
-      took, so that what is decided by them does not depend on the clock.
+      quantity without a limit. ``passes`` is the number still to be made. The time of preparation is not subtracted
+      from ``seconds``, so that decisions by ``seconds`` do not depend on the clock.
     """
 
     name: ClassVar[str]
@@ -94,12 +94,12 @@ class Method(Protocol):
         ...
 
     def enter(self, state: State) -> None:
-        """Load ``state``, as ``step`` does, too. Raises :class:`CheckpointError` for a state that does not fit this
+        """Load ``state``, as ``step`` also does. Raises :class:`CheckpointError` for a state that does not fit this
         method and problem."""
         ...
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """The picture of the passes in ``measurement``; ``state``: after the last of them."""
+        """The picture of the passes in ``measurement``; ``state``: the state after the last pass."""
         ...
 
 

@@ -13,7 +13,7 @@ class Progress:
 
     #: Passes in the picture, including those of an earlier run that was resumed.
     passes: int = 0
-    #: Camera paths per pixel in the picture; for other work what it casts or traces, see ``made``.
+    #: Camera paths per pixel in the picture; for other work the number of bundles, lines or light paths, see ``made``.
     samples: int = 0
     #: Seconds of this run since the scene was loaded.
     elapsed: float = 0.0
@@ -29,9 +29,9 @@ class Progress:
     fraction: float | None = None
     #: Passes of each worker of a cluster in this run, by name.
     shares: dict[str, int] = field(default_factory=dict)
-    #: What has been made, in the words of work that makes no picture, such as ``24 bundles``; else empty.
+    #: For work that makes no picture, the amount done in words, such as ``24 bundles``; otherwise empty.
     made: str = ""
-    #: What ``rays`` are: ``rays`` or ``segments``.
+    #: Unit of ``rays``: ``rays`` or ``segments``.
     traced: str = "rays"
 
     def __str__(self) -> str:
@@ -39,8 +39,8 @@ class Progress:
 
     @property
     def pace(self) -> list[str]:
-        """Time, speed and noise as texts, as far as they are known; for solutions the standard error instead of noise,
-        which is its square."""
+        """Time, speed and noise as texts, as far as they are known; for solutions the standard error, whose square is
+        the noise."""
         parts = [format_seconds(self.elapsed)]
         if self.eta is not None:
             parts.append(f"ETA {format_seconds(self.eta)}")
@@ -64,7 +64,7 @@ def format_seconds(seconds: float) -> str:
 
 
 def format_number(value: float, digits: int = 3) -> str:
-    """``digits`` significant digits, in exponent form only below 1e-5 and from 1e7 on: 0.00123, 45.6, 1230."""
+    """At least ``digits`` significant digits, in exponent form only below 1e-5 and from 1e7 on: 0.00123, 45.6, 1234."""
     if not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -76,7 +76,7 @@ def format_number(value: float, digits: int = 3) -> str:
 
 
 def format_rate(rays_per_second: float, traced: str = "rays") -> str:
-    """``12.3 Mrays/s``; ``traced``: what they are."""
+    """``12.3 Mrays/s``; ``traced``: the unit that is counted."""
     for scale, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if rays_per_second >= scale:
             return f"{rays_per_second / scale:.3g} {prefix}{traced}/s"

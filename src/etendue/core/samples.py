@@ -1,7 +1,7 @@
 """Random numbers as a function of (seed, role, iteration, lane, dimension).
 
-Transport code requests each number by its dimension, a vertex and a component of it, so that other samplers (point
-sequences, Markov chains) can replace independent numbers.
+Transport code requests each number by its dimension (a vertex and a component of the vertex), so that other samplers
+(point sequences, Markov chains) can replace independent numbers.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def keyed_bits(key0: mi.UInt32, key1: mi.UInt32, word: mi.UInt32) -> mi.UInt32:
 class IndependentSource:
     """Independent numbers by hashing a 64-bit key of the lane and the dimension; without loop state.
 
-    ``lane``: one entry a path; ``high``: upper words of lane numbers beyond 2^32. ``seed``, ``role`` and ``iteration``
-    are opaque scalars in kernels, so that all passes share them.
+    ``lane``: one entry per path; ``high``: upper words of lane numbers above 2^32. ``seed``, ``role`` and ``iteration``
+    are opaque scalars in kernels, so that all passes share the kernels.
     """
 
     DRJIT_STRUCT: ClassVar = {"_key0": object, "_key1": object}

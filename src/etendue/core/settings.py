@@ -21,7 +21,7 @@ from typing import Any, Self, get_type_hints
 
 from .errors import OptionError, suggest
 
-#: Limits of a run as the command line names them, and as functions do.
+#: Limits of a run: name on the command line, and name as an argument of a function.
 BUDGETS: Mapping[str, str] = {"spp": "samples", "time": "seconds"}
 
 
@@ -74,8 +74,8 @@ class Settings:
         cls, values: Iterable[str], owner: str, function: Callable[..., Any], elsewhere: Mapping[str, str] = BUDGETS
     ) -> None:
         """Raise :class:`OptionError` for a name among ``values`` that no setting has, where ``function`` takes settings
-        as further arguments: its own arguments may have been meant. ``elsewhere``: names that mean one of them in other
-        places."""
+        as further arguments: its own arguments may have been meant. ``elsewhere`` maps the names of arguments in
+        other functions, or on the command line, to their names here."""
         parameters = signature(function).parameters.values()
         own = [parameter.name for parameter in parameters if parameter.kind != parameter.VAR_KEYWORD]
         for name in values:

@@ -18,7 +18,7 @@ from .samples import Points, Samples
 
 #: Nodes along an axis of the grid on which cross-validation adds up pairs, by dimension.
 _NODES = {1: 1 << 14, 2: 1 << 10}
-#: Candidate bandwidths relative to :func:`normal_reference`.
+#: Candidate bandwidths relative to :func:`normal_reference`: first, last, number.
 _TRIED = (0.05, 2.0, 60)
 
 
@@ -39,7 +39,7 @@ def silverman(samples: Samples | Points, kernel: Kernel | str = "gaussian") -> f
     """Silverman's rule of thumb: on a line ``0.9 min(s, q / 1.34) n^(-1/5)`` for the Gaussian.
 
     q is the distance between the quartiles [Silverman 1986, eq. 3.31]. In the plane it is :func:`normal_reference`
-    with the lesser of s and q / 1.34 for each axis. Errors as there.
+    with the lesser of s and q / 1.34 for each axis. Raises the same errors.
     """
     checked = _plain(samples)
     deviation = _deviations(checked)
@@ -56,12 +56,12 @@ def cross_validation(
 
     Least-squares cross-validation [Bowman 1984; Silverman 1986, sec. 3.4.3] assumes nothing about the density, but has
     a large variance: a score estimates the integrated squared error plus a constant. It uses the Gaussian, for which
-    the sum over all pairs is computed by a Fourier transform of a grid; the result is converted to other kernels
-    [Marron 1988], the scores are those of the Gaussian. A warning is given if the minimum is at an end of the
+    the sum over all pairs is computed by a Fourier transform of a grid; the bandwidth is converted to other kernels
+    [Marron 1988], the scores remain those of the Gaussian. A warning is given if the minimum is at an end of the
     candidates.
 
     bandwidths: the candidates; by default 60 from 0.05 to 2 times the :func:`normal_reference`. Raises
-    :class:`DensityError` as there, and for fewer than 2 samples.
+    :class:`DensityError` as that function, and for fewer than 2 samples.
     """
     checked = _plain(samples)
     if len(checked) < 2:
@@ -110,14 +110,14 @@ class _Pairs:
             spectrum / np.multiply.reduce(np.meshgrid(*[hat**2] * d)),
             sum(np.square(w) for w in np.meshgrid(*[axis] * d)),
         )
-        # Only the length of the frequency matters, which leaves fewer numbers for each width.
+        # Higher frequencies contribute less than exp(-40) for any width of ``finest`` or more.
         keep = squares * self.finest**2 < 80
         self._power, self._squares = power[keep], squares[keep]
         self._own = float(np.sum(samples.weights**2))
         self._leave_out = samples.weights
 
     def sum(self, width: float) -> float:
-        """Over all pairs, those of a sample with itself included."""
+        """Sum over all pairs, including each sample with itself."""
         return float(np.sum(self._power * np.exp(-0.5 * width**2 * self._squares)) / self._cell)
 
     def score(self, h: float) -> float:

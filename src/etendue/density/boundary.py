@@ -1,9 +1,9 @@
 """Boundary corrections for the part of a kernel outside the domain.
 
 ``"reflect"`` mirrors the samples at the border. The estimate then has the right integral and zero slope at the border.
-``"renormalise"`` divides by the share of the kernel inside the domain [Jones 1993]; a surface divides by the area
-within reach. Both leave a bias of the order of the bandwidth if the density has a slope at the border; without a
-correction half of the density is missing at an edge, and three quarters in a corner.
+``"renormalise"`` divides by the share of the kernel inside the domain [Jones 1993]; with a surface, estimators divide
+by its area within the kernel. Both leave a bias of the order of the bandwidth if the density has a slope at the
+border; without a correction half of the density is missing at an edge, and three quarters in a corner.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Domain | None) -> None:
-    """Raise :class:`DensityError` unless an estimator has this correction, and its domain is known."""
+    """Raise :class:`DensityError` unless the estimator has this correction, and the domain is known."""
     if boundary not in allowed:
         raise DensityError(f"boundary {boundary!r}: this estimator has {', '.join(allowed)}")
     if boundary != "none" and domain is None:
@@ -37,11 +37,10 @@ def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Domain | Non
 
 
 def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, NDArray[np.int64]]:
-    """Positions and those of their mirror images whose kernels of this ``reach`` may overlap the box, with their
-    indices.
+    """Positions, and those of their mirror images whose kernels may overlap the box, with the indices of the originals.
 
-    positions: (n, d). reach: (n,). Returns (m, d) and the indices (m,); the first n are the positions themselves. A
-    reach above the side of the box is clipped: images are not mirrored again.
+    positions: (n, d). reach: (n,), of the kernels. Returns (m, d) and the indices (m,); the first n are the positions
+    themselves. Images are not mirrored again, even if the reach exceeds the side of the box.
     """
     every = np.arange(len(positions))
     images, owners = [positions], [every]
@@ -62,9 +61,10 @@ def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, NDArray[
 def share_inside(kernel: Kernel, point: mi.Point3f, bandwidth: mi.Float, box: Box) -> mi.Float:
     """Share of the kernel around ``point``, a ``Point3f`` in the box, that lies in it. Recorded on the device.
 
-    On a line by the kernel's integral. In the plane as the sum over the four sides of the wedges between the point and
-    each: ``int M(min(a / cos(phi), 1)) dphi / 2 pi``, where M is the kernel's share in a disc, a the distance of the
-    side; the part where the side is out of reach in closed form, the rest by quadrature, good to some 1e-4.
+    On a line by the kernel's integral. In the plane as a sum over the wedges between the point and each of the four
+    sides: ``int M(min(a / cos(phi), reach)) dphi / 2 pi``, where M is the kernel's share in a disc, and a the distance
+    of the side. The part where the side is out of reach has a closed form; the rest is by quadrature, with an error of
+    some 1e-4.
     """
     ends = [_distances(point[axis], axis, bandwidth, box) for axis in range(box.dimension)]
     if box.dimension == 1:
@@ -84,7 +84,7 @@ def _distances(x: mi.Float, axis: int, bandwidth: mi.Float, box: Box) -> tuple[m
 
 
 def _wedge(kernel: Kernel, distance: mi.Float, along: mi.Float) -> mi.Float:
-    """Share in the triangle from the point to its foot on a side, and ``along`` it to a corner."""
+    """Share in the triangle of the point, its foot on a side, and a corner at the distance ``along`` from the foot."""
     angle = dr.atan2(along, distance)
     met = dr.minimum(angle, dr.acos(dr.minimum(distance / kernel.reach, 1.0)))
     total: mi.Float = angle - met

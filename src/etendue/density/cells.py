@@ -2,8 +2,8 @@
 
 A cell is halved across its longest side when more than a given number of samples fell into it [Muller 2017]. Surfaces
 that face along different axes have separate cells from the start, since light on a floor says little about light on the
-adjacent wall. Cells are always halved in the middle and along the same axis for all cells of a level, so the tree can
-be expanded into a table over the finest cells, and a lookup costs one gather.
+adjacent wall. All cells of a level are halved in the middle, along the same axis, so the tree can be expanded
+into a table over the finest cells, and a lookup costs one gather.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FINEST = 18
 class Cells:
     """Cells of the box from ``lower`` to ``upper``; points outside belong to the nearest one inside.
 
-    facing, corner, level: of each cell, on the host: (cells,), (cells, 3) in finest cells, (cells,).
+    facing, corner, level: of each cell, on the host: (cells,), (cells, 3) in units of the finest cells, (cells,).
     """
 
     def __init__(self, lower: Sequence[float], upper: Sequence[float]) -> None:
@@ -38,9 +38,9 @@ class Cells:
             axes.append(int(np.argmax(sides)))
             sides[axes[-1]] /= 2.0
         self._axes = np.array(axes)
-        #: Finest cells along each axis, of a cell of each level.
         halvings = np.stack([(self._axes == axis).cumsum() for axis in range(3)], axis=1)
         bits = halvings[-1]
+        #: Finest cells along each axis, of a cell of each level.
         self._sizes = 1 << (bits - np.vstack([np.zeros((1, 3), np.int64), halvings]))
         # Opaque: as constants they would be compiled into every kernel.
         self._finest = mi.Vector3u(*(dr.opaque(mi.UInt32, n) for n in (1 << bits).tolist()))

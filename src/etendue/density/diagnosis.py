@@ -73,8 +73,8 @@ def by_expansion(
 ) -> Diagnosis:
     """Errors for small bandwidths: bias ``h^2 m / 2`` times the Laplacian, variance ``f R / (n h^d)``.
 
-    density, laplacian: (m,), at the points. count: samples of equal weight (``Samples.effective``). The kernel's
-    ``second_moment`` is m, its ``roughness`` R [Silverman 1986, sec. 3.3.1 and 4.3].
+    density, laplacian: (m,), at the points. count: number of samples of equal weight (``Samples.effective``). The
+    kernel's ``second_moment`` is m, its ``roughness`` R [Silverman 1986, sec. 3.3.1 and 4.3].
     """
     shape, h, n = kernel_of(kernel), positive("the bandwidth", bandwidth), positive("the number of samples", count)
     f = np.atleast_1d(np.asarray(density, dtype=np.float64))
@@ -85,8 +85,8 @@ def by_expansion(
 def by_quadrature(density: Known, x: Array, kernel: Kernel | str, bandwidth: float, count: float) -> Diagnosis:
     """Errors for any bandwidth, integrated over the density around each point; without borders.
 
-    The mean is the density smoothed by the kernel, the variance that of the kernel at a random sample over ``count``.
-    x: (m,) or (m, 2).
+    The mean is the density smoothed by the kernel; the variance is that of the kernel at a random sample, divided by
+    ``count``. x: (m,) or (m, 2).
     """
     points = np.asarray(x, dtype=np.float64)
     dimension = 1 if points.ndim == 1 else 2
@@ -129,8 +129,8 @@ def by_repetition(
 ) -> Diagnosis:
     """Errors of an estimator from ``runs`` independent sets of samples of a known density.
 
-    make: the estimator of a set of samples, ``lambda samples: FixedKernel(samples, 0.1)``. draw: such a set from a
-    random generator. x: where, (m,) or (m, 2).
+    make: returns the estimator of a set of samples, such as ``lambda samples: FixedKernel(samples, 0.1)``. draw:
+    returns a set of samples from a random generator. x: the points, (m,) or (m, 2).
     """
     random = _generators(runs, seed)
     return _scatter((make(draw(generator))(x) for generator in random), np.asarray(density(x)), runs)
@@ -146,9 +146,9 @@ def by_bootstrap(
 ) -> Diagnosis:
     """Variance of an estimator from ``runs`` sets resampled from the samples with replacement.
 
-    The mean of these sets is near the estimate itself, not its expectation. Without a known ``density`` the truth is
-    the estimate from all samples, so the bias does not include smoothing; with one, the bias is the error of this
-    estimate.
+    The mean over these sets is near the estimate from all samples, not near its expectation. Without a known
+    ``density`` the truth is this estimate, so the bias does not include smoothing; with a known density, the bias is
+    the error of this estimate.
     """
     checked = Samples.of(samples)
     truth = make(checked)(x) if density is None else np.asarray(density(x))

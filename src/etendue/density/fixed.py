@@ -34,7 +34,7 @@ class FixedKernel(Estimator):
     kernel: a :class:`Kernel` or its name.
     domain, boundary: the domain, as for :class:`etendue.integration.Box`, and the correction at its border:
         ``"reflect"``, ``"renormalise"`` or ``"none"``.
-    surface: a :class:`Surface`, by whose area within the kernel the estimate is divided.
+    surface: a :class:`Surface`; the estimate is divided by its area within the kernel.
 
     A query visits the samples within the kernel's reach. If these are thousands, :class:`BinnedKernel` is much faster.
     Raises :class:`DensityError`.
@@ -85,9 +85,9 @@ class FixedKernel(Estimator):
 
 
 class Naive(FixedKernel):
-    """Samples within ``h``: over ``2 h n`` on a line, over ``pi h^2 n`` in the plane. The uniform kernel.
+    """The uniform kernel: number of samples within ``h``, over ``2 h n`` on a line, over ``pi h^2 n`` in the plane.
 
-    Parameters are those of :class:`FixedKernel`.
+    Parameters are those of :class:`FixedKernel`, without ``kernel``.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Naive(FixedKernel):
 
 
 class _Sum:
-    """``sum_i w_i K(|x - x_i| / h) / h^d``, candidate by candidate of the grid."""
+    """``sum_i w_i K(|x - x_i| / h) / h^d``, over the candidates of the grid."""
 
     def __init__(
         self, positions: Array, weights: Array, h: float, kernel: Kernel, dimension: int, frame: Frame
@@ -141,7 +141,7 @@ def over(value: mi.Float, share: mi.Float) -> mi.Float:
 
 
 def check_surface(surface: Surface | None, coordinates: int) -> Surface | None:
-    """A surface, for samples that lie on one; raises :class:`DensityError`."""
+    """The surface; raises :class:`DensityError` if it is none, or if the samples do not lie on surfaces."""
     if surface is not None and not (isinstance(surface, Surface) and coordinates == 3):
         raise DensityError("surface takes a Surface(positions, areas), and samples with three coordinates")
     return surface

@@ -38,7 +38,7 @@ class Histogram(Estimator):
     Attributes
     ----------
     values: density in each bin, (bins,) or (bins_u, bins_v).
-    edges: of the bins, an array for each dimension.
+    edges: edges of the bins, an array for each dimension.
 
     Raises :class:`DensityError`.
     """
@@ -91,9 +91,9 @@ class BinnedKernel(Estimator):
     interpolated linearly [Wand 1994]. A million samples take a fraction of a second for any bandwidth, and queries cost
     almost nothing; the error is about 1e-3 of the largest density.
 
-    Parameters are those of :class:`FixedKernel`; the domain is by default the box around the samples and their kernels.
-    ``steps``: nodes in a bandwidth. ``values`` are the densities at the nodes, ``nodes`` their coordinates. Raises
-    :class:`DensityError`, also if the grid would have more than 4 million nodes.
+    Parameters are those of :class:`FixedKernel`, without ``surface``; the domain is by default the box around samples
+    and their kernels. ``steps``: nodes in a bandwidth. ``values`` are the densities at the nodes, ``nodes`` their
+    coordinates. Raises :class:`DensityError`, also if the grid would have more than 4 million nodes.
     """
 
     citations = ("Wand1994", "Silverman1986", "Leeson2001")
@@ -129,7 +129,7 @@ class BinnedKernel(Estimator):
         values = _convolved(shares, stencil, boundary == "reflect")
         if boundary == "renormalise":
             area = np.full(counts, math.prod(spacing))
-            for axis in range(area.ndim):  # half a cell at either end
+            for axis in range(area.ndim):  # nodes at either end stand for half a cell
                 np.moveaxis(area, axis, 0)[[0, -1]] *= 0.5
             values /= np.maximum(_convolved(area, stencil, False), 1e-12)
         self.values: Array = np.maximum(values, 0.0) * checked.mass

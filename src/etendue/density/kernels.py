@@ -34,7 +34,7 @@ class Kernel:
     ----------
     name: its key in :data:`KERNELS`.
     profile: ``k(t)`` for t from 0 to ``reach^2``; it must not be evaluated beyond.
-    reach: the distance, in bandwidths, from which on the kernel is zero.
+    reach: the distance, in bandwidths, beyond which the kernel is zero.
     disc_scale: squared bandwidths in the radius of the disc of :meth:`on_disc`.
     """
 
@@ -88,10 +88,10 @@ class Kernel:
 
 
 def _integral(kernel: Kernel, dimension: int, of: Callable[[Any, Any], Any]) -> float:
-    """Integral of ``of(k(t), t)`` over the line or the plane, by quadrature along the radius: all are smooth there."""
+    """Integral of ``of(k(t), t)`` over the line or the plane; by quadrature along the radius, where it is smooth."""
     if dimension not in (1, 2):
         raise DensityError(f"kernels have one or two dimensions, not {dimension!r}; a surface has two")
-    # The Gaussian is integrated until it underflows in double precision.
+    # The Gaussian is integrated until it falls below the rounding errors of double precision.
     end = 9.0 if kernel.reach > 1 else 1.0
     r = 0.5 * end * (_NODES + 1)
     shell = 2 * np.ones_like(r) if dimension == 1 else 2 * math.pi * r

@@ -1,7 +1,7 @@
 """The density of the k nearest samples: ``f(x) = 1 / d^D sum_i w_i K((x - x_i) / d)``, d the distance of the k-th.
 
 [Loftsgaarden 1965; Silverman 1986, ch. 5; Leeson 2001, sec. 3.5] The kernel is wide where samples are rare. The
-estimate has kinks, and its tails fall as the inverse of the distance: it does not integrate to 1.
+estimate has kinks, and its tails fall as ``d^-D``: it does not integrate to 1.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class NearestNeighbours(Estimator):
     samples: :class:`Samples`, or positions.
     k: 1 to the number of samples.
     kernel: a :class:`Kernel` or its name.
-    domain, boundary: ``"renormalise"`` or ``"none"``, as for :class:`FixedKernel`.
-    surface: as there.
+    domain, boundary: as for :class:`FixedKernel`; the correction is ``"renormalise"`` or ``"none"``.
+    surface: as for :class:`FixedKernel`.
     count_last: whether the k-th sample, at the rim of the disc, is counted. The formula counts it, which makes the
-        estimate of the uniform kernel too large by ``k / (k - 1)`` on average; photon maps leave it out. It makes no
-        difference for kernels that are zero at the rim.
+        estimate of the uniform kernel too large by ``k / (k - 1)`` on average; photon maps leave it out. For kernels
+        that are zero at the rim there is no difference.
 
     Where k samples coincide with a point the density is infinite. Raises :class:`DensityError`.
     """
@@ -88,7 +88,7 @@ class _Neighbourhood:
         dr.eval(self._weights)
 
     def total(self, point: mi.Point3f, squared: mi.Float, kernel: Kernel, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """``sum w k(d^2 / squared)``, not normalised, and the weight of the point at distance ``squared`` (of one)."""
+        """``sum w k(d^2 / squared)``, not normalised, and the weight of one point at this squared distance."""
         limit = kernel.reach**2
 
         def add(place: mi.UInt32, distance: mi.Float, state: tuple[mi.Float, mi.Float]) -> tuple[mi.Float, mi.Float]:

@@ -23,7 +23,8 @@ from etendue.core import Array, copied_to_device
 
 #: Largest depth: the smallest quadrant has the side 2^-12.
 DEEPEST = 12
-#: Fourth word of a node: its lowest bits mark the divided quadrants, the others are the node that divides the first.
+#: Number of lowest bits of the fourth word of a node, which mark the divided quadrants. The other bits are the number
+#: of the node that divides the first of these.
 _BITS = 4
 
 
@@ -80,9 +81,9 @@ class Quadtrees:
         return Quadtrees(self.tree, self.level, self.parent, self.child, mass)
 
     def refined(self, source: NDArray[np.int64], share: float | Array) -> Quadtrees:
-        """Trees of the same densities, divided wherever a quadrant holds more than ``share`` of its tree's mass, a
-        number or one for each tree, and nowhere else. ``source``: for each new tree, the old one that it is made
-        from."""
+        """Trees of the same densities, divided wherever a quadrant holds more than ``share`` of its tree's mass, and
+        nowhere else. ``source``: the old tree that each new tree is made from. ``share``: a number, or one for each
+        new tree."""
         levels = []
         tree = np.arange(len(source))
         old, mass, parent = source.copy(), self.mass[source], np.full(len(source), -1)

@@ -16,7 +16,7 @@ from etendue.integration import Box, Domain
 
 from .errors import DensityError
 
-#: Positions: an array of the host, or arrays of the device.
+#: Positions: a host array, or device arrays.
 Points: TypeAlias = "ArrayLike | mi.Float | mi.Point2f | mi.Point3f"
 
 
@@ -83,7 +83,7 @@ class Samples:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Corners of the smallest box around them."""
+        """Corners of the smallest box around the samples."""
         return self.positions.min(axis=0), self.positions.max(axis=0)
 
     @property
@@ -102,7 +102,7 @@ class Surface:
 
     positions: (m, 3). areas: (m,), or a number for all. An estimator divides by the share of its kernel that lies on
     the surface, so that the estimate is not too low at edges, corners and bends. There must be several points per
-    bandwidth. Raises :class:`DensityError` if there are none, or for an area that is not positive.
+    bandwidth. Raises :class:`DensityError` if there are no points, or for an area that is not positive.
     """
 
     positions: Array
@@ -163,7 +163,7 @@ def uploaded(values: Array) -> mi.Float:
 
 
 def by_place(points: Array) -> NDArray[np.int64]:
-    """An order of points in which neighbours are near: coherent lanes are faster and use caches better.
+    """An order of points in which neighbours are near each other: coherent lanes are faster and use caches better.
 
     Morton order over 1024 cells per axis, three standard deviations to either side.
     """
@@ -200,7 +200,7 @@ def numbers(values: Points) -> Array:
 
 
 def box_of(domain: Domain, samples: Samples) -> Box:
-    """A domain of as many dimensions as the samples have, which lie on a line or in the plane, that holds them all."""
+    """The box of a domain that holds all samples, which lie on a line or in the plane; raises :class:`DensityError`."""
     if samples.coordinates == 3:
         raise DensityError("a domain is for samples on a line or in the plane: pass surface=Surface(positions, areas)")
     box = Box.of(domain)

@@ -35,7 +35,7 @@ class SampleBandwidths(Estimator):
     samples: :class:`Samples`, or positions.
     bandwidths: (n,), one for each sample that was not left out.
     kernel: a :class:`Kernel` or its name.
-    domain, boundary: ``"reflect"`` or ``"none"``, as for :class:`FixedKernel`.
+    domain, boundary: as for :class:`FixedKernel`; the correction is ``"reflect"`` or ``"none"``.
 
     Raises :class:`DensityError`.
     """
@@ -66,7 +66,7 @@ class SampleBandwidths(Estimator):
         d = self.samples.dimension
         weights = self.samples.weights[owners] * self.kernel.normalisation(d) / local**d
         self._tree = KdTree(self._frame.device(positions), reach=uploaded(local * self.kernel.reach))
-        # In tree order: weight with all factors, and the factor that turns squared distances into bandwidths.
+        # In tree order: weight with all factors, and ``1 / h_j^2``, the factor on squared distances.
         packed = mi.Vector2f(uploaded(weights), uploaded(local**-2.0))
         order = self._tree.order
         self._packed = dr.ravel(mi.Vector2f(dr.gather(mi.Float, packed.x, order), dr.gather(mi.Float, packed.y, order)))
@@ -85,8 +85,8 @@ class SampleBandwidths(Estimator):
 class VariableKernel(SampleBandwidths):
     """Bandwidths from neighbours: ``h_j = h d_jk``, d_jk the distance from sample j to its k-th neighbour.
 
-    Parameters are those of :class:`SampleBandwidths`, and ``k``, below the number of samples, and ``h``, a factor.
-    Raises :class:`DensityError`, also if k other samples coincide with a sample.
+    Parameters are those of :class:`SampleBandwidths`, but instead of ``bandwidths`` the number ``k``, below the number
+    of samples, and the factor ``h``. Raises :class:`DensityError`, also if k other samples coincide with a sample.
     """
 
     citations: ClassVar[tuple[str, ...]] = ("Breiman1977", "Silverman1986", "Leeson2001", "Bentley1975")
@@ -119,10 +119,10 @@ class AdaptiveKernel(SampleBandwidths):
     Parameters
     ----------
     samples, kernel, domain, boundary: as for :class:`SampleBandwidths`.
-    bandwidth: h, also of the first estimate if there is none.
-    pilot: an estimator of the same samples; a histogram or a :class:`BinnedKernel` is enough. By default a
+    bandwidth: h; also the bandwidth of the default ``pilot``.
+    pilot: the first estimate, of the same samples; a histogram or a :class:`BinnedKernel` is enough. By default a
         :class:`FixedKernel`.
-    alpha: 0 for a fixed kernel, 1/2 for the smallest bias [Abramson 1982], 1/d for widths as by neighbours.
+    alpha: 0 for a fixed kernel, 1/2 for the smallest bias [Abramson 1982], 1/d for widths like :class:`VariableKernel`.
     widest: bandwidths are at most this times h, so that samples in sparse regions do not affect the whole domain.
     """
 
@@ -153,7 +153,7 @@ class AdaptiveKernel(SampleBandwidths):
 
 
 def relative_widths(first: Array, weights: Array, alpha: float = 0.5) -> Array:
-    """``(f / g)^-alpha``, (n,), of a first estimate f above zero, with its geometric mean g by weights not below zero
+    """``(f / g)^-alpha``, (n,), of a first estimate f above zero; g is its geometric mean, with weights not below zero
     [Abramson 1982]."""
     mean = np.exp(np.sum(weights * np.log(first)) / weights.sum())
     widths: Array = (first / mean) ** -float(alpha)
@@ -163,8 +163,8 @@ def relative_widths(first: Array, weights: Array, alpha: float = 0.5) -> Array:
 def neighbour_distances(samples: Samples, k: int, mirror: Box | None = None) -> Array:
     """Distance from each sample to its k-th neighbour, excluding itself: (n,).
 
-    With ``mirror`` the images of samples at the border of this box count as neighbours, too; otherwise bandwidths grow
-    there.
+    With ``mirror`` the mirror images of samples at the border of this box count as neighbours, too; without them
+    bandwidths grow there.
     """
     frame = Frame.around(samples)
     order = by_place(samples.positions)

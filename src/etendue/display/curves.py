@@ -1,4 +1,4 @@
-"""Tone curves: the one table from which PNG files, pages and the command line take them.
+"""Tone curves: the table that PNG files, pages and the command line share.
 
 A curve maps exposed linear sRGB ``x`` to the values of a display, ``encode(after f(before x))`` with 3x3 matrices
 ``before`` and ``after`` (the identity for most) and functions ``f`` and ``encode`` of a channel. A page has ``f`` and
@@ -21,7 +21,7 @@ Function = Callable[[Array], Array]
 
 #: The grey of a card, which the curves ``logarithmic`` and ``s-curve`` keep.
 MIDDLE_GREY: Final = 0.18
-#: White of ``reinhard`` and of ``logarithmic``: so many times the white of ``srgb``.
+#: White of ``reinhard`` and of ``logarithmic``, relative to the white of ``srgb``.
 _REINHARD_WHITE, _LOG_WHITE = 4.0, 8.0
 _LOG_SCALE = 5.449834863693495  # log(1 + 0.18 s) / log(1 + 8 s) = 0.18
 _S_POWER = 1.4  # slope 1.15 at the grey, on logarithmic axes
@@ -53,7 +53,7 @@ class ToneCurve:
         return self.encode(np.clip(y if self.after is None else y @ self.after.T, 0.0, 1.0))
 
     def tables(self) -> dict[str, Any]:
-        """``f`` at equal steps of log2 x, ``encode`` at equal steps in [0, 1], and the matrices, for JSON."""
+        """``f`` at equal steps of log2 x, ``encode`` at squares of equal steps in [0, 1], and matrices, for JSON."""
         low, high = TABLE_RANGE
         x = 2.0 ** np.linspace(low, high, (high - low) * TABLE_STEPS + 1)
         inside = np.linspace(0.0, 1.0, ENCODE_STEPS + 1) ** 2  # finer at the dark end, where encodings are steep
@@ -99,7 +99,7 @@ def _agx(x: Array) -> Array:
     place = np.clip((np.log2(np.maximum(x, 1e-30) / MIDDLE_GREY) - low) / (high - low), 0.0, 1.0)
 
     def branch(width: float, height: float, bend: float) -> Array:
-        """From the grey to the end, ``width`` and ``height`` away."""
+        """Distance from the grey value, towards an end at ``width`` and ``height`` from the grey."""
         t = np.minimum(np.abs(place - grey), width) * _AGX_SLOPE
         # t / (1 + (t / s)^bend)^(1 / bend), with s such that it is the height at the end
         scale = ((width * _AGX_SLOPE / height) ** bend - 1.0) / (width * _AGX_SLOPE) ** bend

@@ -1,4 +1,4 @@
-"""From the layers of a picture to what is shown: denoised components, their sum."""
+"""From the layers of a picture to the picture that is shown: the sum of its components, which may be denoised."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def develop(
 
     With ``denoise``, a name of :data:`DENOISERS`, each of the ``components`` (by default the layers whose sum is the
     picture, or the picture) is denoised and their sum is returned. Features are the layers ``albedo`` and ``normal``,
-    or those named. ``radius`` is that of the windows in pixels, ``strength`` (1) how much is smoothed. ``tell``
-    receives a line if features are missing that would help. Nothing in ``layers`` is changed.
+    or the layers named. ``radius`` is the radius of the windows in pixels, ``strength`` (1) how much is smoothed.
+    ``tell`` receives a line if features are missing that would help. Nothing in ``layers`` is changed.
 
     Raises :class:`OptionError` for an unknown name, a layer that is missing and values out of range, and
     :class:`BackendError` if the library of a denoiser is missing.
@@ -42,7 +42,7 @@ def develop(
         raise OptionError(f"the strength of a denoiser is above 0 and at most 100, not {strength:g}")
     kind = None if denoise is None else denoiser(denoise)
     if kind is None and not components:
-        components = ("image",)  # the sum of others is the same up to rounding
+        components = ("image",)  # the sum of the components is the same up to rounding
     parts = [colours(layers[name]) for name in component_names(layers, components)]
     if kind is not None:
         features = find_features(layers, albedo, normal)

@@ -1,6 +1,6 @@
-"""Which face of a mesh each pixel shows: a projection and a depth buffer in NumPy, for pages without a renderer.
+"""The face of a mesh that each pixel shows: a projection and a depth buffer in NumPy, for pages without a renderer.
 
-Only fronts are drawn, so that a room is seen from outside through the backs of its nearer walls, as a doll's house.
+Only fronts are drawn, so that a room is seen from outside through the backs of its nearer walls.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ class MeshView:
 def mesh_picture(
     vertices: ArrayLike, faces: ArrayLike, view: MeshView, size: tuple[int, int], two_sided: ArrayLike = False
 ) -> NDArray[np.int64]:
-    """(height, width) the face that the middle of each pixel shows: its number, f + its number for the back of a
-    ``two_sided`` one (an answer for all, or one for each), -1 for none.
+    """(height, width) numbers of the faces at the middle of the pixels, plus f for the back of a two-sided face; -1 for
+    no face.
 
-    ``faces``: (f, 4) indices of vertices, of convex quadrilaterals or of triangles that repeat their last. ``size``:
-    width and height.
+    ``faces``: (f, 4) indices of vertices, of convex quadrilaterals or of triangles that repeat their last vertex.
+    ``size``: width and height. ``two_sided``: one value for all faces, or one for each.
     """
     width, height = size
     corners = np.asarray(faces, dtype=np.int64)
@@ -76,7 +76,7 @@ def mesh_picture(
     both, number = both[proper], number[proper]
     camera = (np.asarray(vertices, dtype=np.float64) - view.eye) @ view.matrix.T
     triangles = camera[both]  # (t, 3, 3)
-    # The determinant is that of the corners seen from the eye; y points down, so that a front is positive.
+    # The determinant of the corners as seen from the eye; y points down, so that a front is positive.
     flips = np.sign(np.linalg.det(view.matrix)) or 1.0
     facing = -flips * np.linalg.det(triangles)
     drawn = (facing > 0) | ((facing < 0) & np.broadcast_to(two_sided, count)[number])
@@ -84,7 +84,7 @@ def mesh_picture(
     triangles, number = _clipped(triangles[drawn], number, _NEAR * max(float(camera[:, 2].max(initial=0.0)), 1e-300))
     depths, shown = np.full(width * height, np.inf), np.full(width * height, -1, dtype=np.int64)
     for pixel, depth, owner in _fragments(triangles, number, width, height):
-        # The last of equal indices is what an assignment keeps: nearest last.
+        # An assignment keeps the last of equal indices, so the nearest fragment comes last.
         order = np.argsort(-depth, kind="stable")
         pixel, depth, owner = pixel[order], depth[order], owner[order]
         nearer = depth < depths[pixel]
@@ -112,7 +112,7 @@ def _clipped(triangles: Array, number: NDArray[np.int64], near: float) -> tuple[
 
 
 def _cut(a: Array, b: Array, near: float) -> Array:
-    """Where edges cross the near plane."""
+    """The points where edges cross the near plane."""
     share = (near - a[:, 2:]) / (b[:, 2:] - a[:, 2:])
     return a + share * (b - a)
 

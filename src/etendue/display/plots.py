@@ -17,8 +17,8 @@ _DASHES = ("", "7 3", "2 3", "9 3 2 3", "4 2", "1 2")
 
 @dataclass(frozen=True)
 class Series:
-    """A named curve; points are (x, y), both positive, or (x, y, standard error of y), which gets a bar. Others are
-    left out of the plot."""
+    """A named curve; points are (x, y), both positive, or (x, y, standard error of y), which gets a bar. Other
+    points are left out of the plot."""
 
     name: str
     points: Sequence[tuple[float, ...]]
@@ -45,7 +45,7 @@ class _LogAxis:
         return self.start + share * (self.end - self.start)
 
     def ticks(self) -> list[tuple[float, bool]]:
-        """(value, labelled) at the decades, and at their 2 and 5, or all, where there are few of them."""
+        """(value, labelled) at multiples 1 to 9 of decades. Decades have labels; on short axes multiples as well."""
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         decades = math.log10(self.high / self.low)
         steps = range(1, 10) if decades < 0.8 else (1, 2, 5) if decades < 2.5 else (1,)
@@ -180,7 +180,7 @@ def _tip(name: str, point: tuple[float, float, float], labels: tuple[str, str]) 
 
 
 def _legend(entries: list[tuple[int, str]], left: float, right: float) -> tuple[list[str], float]:
-    """Samples of the lines with their names, in rows above the frame, and where the frame may begin."""
+    """Samples of the lines with their names, in rows above the frame, and the y coordinate where the frame begins."""
     parts = []
     x, y = left, 14.0
     for index, name in entries:

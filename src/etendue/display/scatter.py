@@ -48,7 +48,7 @@ def projection_plot(projections: Sequence[Projection], title: str, *, columns: i
 
 def _square(projection: Projection, left: float, top: float) -> str:
     x, y = np.asarray(projection.x, float), np.asarray(projection.y, float)
-    # All points are one path of round dots, a fraction of the size of so many elements.
+    # All points are one path of round dots, which is much smaller than an element for each point.
     radius = float(np.clip(0.22 * _SQUARE / np.sqrt(max(len(x), 1)), 0.6, 2.2))
     dots = "".join(f"M{a:.2f} {b:.2f}h0" for a, b in zip(x * _SQUARE, (1 - y) * _SQUARE, strict=True))
     note = escape(projection.note)

@@ -1,6 +1,6 @@
 """Pictures in the image viewer tev, over its network protocol.
 
-A packet is its own length as a 32-bit number, a byte for its kind, and fields: numbers are little-endian, texts end
+A packet has its own length as a 32-bit number, a byte for its kind, and fields: numbers are little-endian, texts end
 with a zero byte. :func:`create_packet`, :func:`update_packet` and :func:`close_packet` make packets;
 :class:`TevDisplay` sends the layers of a run while it renders.
 """
@@ -29,7 +29,7 @@ PORT = 14158
 _CLOSE, _CREATE, _UPDATE = 2, 4, 6
 #: Most bytes of pixels in a packet, so that a slow display is not sent a whole picture at once.
 _PACKET_BYTES = 1 << 22
-#: Seconds to wait for a connection, and for a display that does not read what it is sent.
+#: Seconds to wait for a connection, and for a display that does not read its data.
 _PATIENCE = 5.0
 #: Least seconds between two pictures, and the largest share of the time in which pictures are developed and sent.
 _LEAST_PAUSE, _LARGEST_SHARE = 0.5, 0.1
@@ -51,7 +51,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def close_packet(name: str) -> bytes:
-    """Closes the image ``name``; without effect if there is none."""
+    """Closes the image ``name``; without effect if it does not exist."""
     return _packet(_CLOSE, _text(name))
 
 
@@ -92,9 +92,9 @@ Layout = tuple[int, int, tuple[str, ...]]
 class TevDisplay:
     """Shows the newest layers of a run in tev.
 
-    A thread develops and sends them, so that a slow display does not slow the rendering: pictures that it has no time
-    for are left out. If tev cannot be reached, or goes away, ``tell`` receives one line, and nothing more is sent. As a
-    context manager, the last layers are sent at the end of the block.
+    A thread develops and sends them, so that a slow display does not slow the rendering: pictures for which it has
+    no time are left out. If tev cannot be reached, or goes away, ``tell`` receives one line, and nothing more is sent.
+    As a context manager, it sends the last layers at the end of the block.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class TevDisplay:
         return True
 
     def offer(self, layers: Callable[[], Layers]) -> None:
-        """Show what ``layers()`` returns, once there is time. It is called in the thread of the display."""
+        """Show the layers that ``layers()`` returns, once there is time. It is called in the thread of the display."""
         with self._changed:
             self._newest = layers
             self._changed.notify()

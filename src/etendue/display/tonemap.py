@@ -12,7 +12,7 @@ from etendue.film import LUMINANCE
 
 from .curves import MIDDLE_GREY, tone_curve
 
-#: Bound of exposed values, which keeps the rational curves finite; it is white at every practical exposure.
+#: Bound of values, which keeps the rational curves finite; a pixel at the bound is white at every practical exposure.
 _BRIGHTEST: Final = 1e30
 
 

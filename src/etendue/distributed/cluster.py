@@ -17,16 +17,16 @@ from .spread import Spread
 
 
 class Cluster:
-    """Makes the passes of runs in the workers of a pool. Several runs may follow each other; the last line of a
-    ``with`` block ends workers that were started for it."""
+    """Makes the passes of runs in the workers of a pool. Several runs may follow each other. The end of a ``with``
+    block ends the workers that were started for the cluster."""
 
     def __init__(self, pool: Pool) -> None:
         self.pool = pool
 
     def rendering(self, job: Job, longest: int | None = None) -> MakeExecutor:
-        """The executor of a job with a scene. Passes of a method that carries on from each other become those of
-        replicas, one a worker: the method of the job is then that of replicas. ``longest``: most passes that a worker
-        adds up before it sends them. Raises :class:`SceneError` for a scene in memory."""
+        """The executor of a job with a scene. If the passes depend on each other, the job gets the method and state of
+        :meth:`replicate`. ``longest``: largest number of passes that a worker adds up before it sends them. Raises
+        :class:`SceneError` for a scene in memory."""
         if job.task is None:
             raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
         plain: Any = job.method.method if isinstance(job.method, Replicated) else job.method
@@ -38,8 +38,8 @@ class Cluster:
     def replicate(
         self, method: Method, problem: Any, seed: int, state: State | None, done: Iterations
     ) -> tuple[Method, State | None]:
-        """The method with a replica for each worker, if its passes carry on from each other. One that goes on from
-        ``state`` after the passes ``done`` has the replicas of the state, or is the only one."""
+        """The method and its state; if passes depend on each other, with a replica for each worker. A method that
+        continues from ``state`` after the passes ``done`` keeps its replicas, or becomes the only replica."""
         if not method.carries_on or isinstance(method, Replicated):
             return method, state
         if state is not None:

@@ -1,4 +1,4 @@
-"""Files by content: what a client sends, and the folder in which a worker keeps it."""
+"""Files by content: the files that a client sends, and the folder in which a worker keeps them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from etendue.core import ClusterError
 
 #: Size of the pieces in which files are sent.
 PIECE = 16 << 20
-#: Files that no run has used for so long are removed.
+#: Files that no run has used for this time are removed.
 _KEPT_SECONDS = 7 * 24 * 3600.0
 #: Names of files, of parts of files that are being sent, and of folders with links, in the folder of a worker.
 _OWN = re.compile(r"[0-9a-f]{32}(\.\d+\.part)?|[0-9a-f]{8}-[a-z0-9_]{8}")
@@ -54,7 +54,7 @@ def _digest_of_file(path: str, size: int, changed: int) -> str:
 
 @dataclass
 class Offered:
-    """What a client may send, by digest."""
+    """Files and bytes that a client may send, by digest."""
 
     contents: dict[str, bytes | Path] = field(default_factory=dict)
 
@@ -122,7 +122,7 @@ class Store:
         return None
 
     def receive(self, digest: str, offset: int, piece: bytes, is_last: bool) -> None:
-        """Write a piece. Raises :class:`ClusterError` if the disk is full, or if something else has arrived."""
+        """Write a piece. Raises :class:`ClusterError` if the disk is full, or if the file does not match its digest."""
         part = self.folder / f"{digest}.{os.getpid()}.part"
         with self._told():
             try:
@@ -130,7 +130,7 @@ class Store:
                     file.seek(offset)
                     file.write(piece)
             except OSError:
-                part.unlink(missing_ok=True)  # a full disk must not stay so
+                part.unlink(missing_ok=True)  # free the room of the incomplete file
                 raise
             if not is_last:
                 return
@@ -152,7 +152,7 @@ class Store:
         return folder
 
     def tidy(self) -> None:
-        """Remove files of this class that were not used for long, and what workers that were killed have left."""
+        """Remove files of this class that have not been used for long, and remains of workers that were killed."""
         for path in self.folder.iterdir():
             try:
                 if not _OWN.fullmatch(path.name) or time.time() - path.lstat().st_mtime < _KEPT_SECONDS:

@@ -1,4 +1,4 @@
-"""The workers of a run: who is there, who is left out and why, what each has to do, and what was sent to it."""
+"""The workers of a run: which are present, which are excluded and why, and the tasks and files sent to each."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .worker import Failed, Needs, Task
 
 #: Seconds between looks at the list of workers, and until a cluster without workers is given up.
 _LOOK, _PATIENCE = 0.5, 60.0
-#: Losses without a finished task between them, beside one for each worker, before the run fails.
+#: Losses without a finished task between them, in addition to one for each worker, before the run fails.
 _MOST_LOST = 12
-#: How often a file is sent to a worker.
+#: Largest number of times that a file is sent to a worker.
 _MOST_SENT = 4
-#: Tickets of all runs of this process: a pool outlives a run, and what it made may arrive during the next one.
+#: Tickets of all runs of this process: a pool outlives a run, whose outcomes may arrive during the next run.
 _TICKETS = itertools.count()
 
 T = TypeVar("T", bound=Task)
@@ -32,7 +32,7 @@ T = TypeVar("T", bound=Task)
 
 @dataclass
 class Member:
-    """What is known of a worker."""
+    """The state of a worker."""
 
     threads: int | None
     flights: set[int] = field(default_factory=set)
@@ -41,7 +41,7 @@ class Member:
 
 
 class Crew(ABC, Generic[T]):
-    """Sends tasks to workers and takes what comes back. What a lost worker had is given back to the subclass.
+    """Sends tasks to workers and receives their outcomes. The tasks of a lost worker are given back to the subclass.
 
     offered: the files that workers may ask for."""
 
@@ -62,7 +62,7 @@ class Crew(ABC, Generic[T]):
 
     @abstractmethod
     def _joined(self, name: str) -> None:
-        """A worker is there."""
+        """A worker has joined, or has room for a further task."""
 
     @abstractmethod
     def _gone(self, name: str) -> None:
@@ -75,7 +75,7 @@ class Crew(ABC, Generic[T]):
     # ------------------------------------------------------------------ workers
 
     def _look(self, now: bool = False) -> None:
-        """Look which workers there are; take back what lost ones had."""
+        """Update the list of workers; take back the tasks of lost ones."""
         time_ = self._clock()
         if not now and time_ - self._looked < _LOOK:
             return
@@ -98,7 +98,7 @@ class Crew(ABC, Generic[T]):
             raise ClusterError(f"the cluster has had no worker for {_PATIENCE:.0f} seconds; start one")
 
     def _lose(self, name: str, had_work: bool, why: str = "") -> None:
-        """A worker has ended. Raises :class:`ClusterError` if that is all that workers do."""
+        """A worker has ended. Raises :class:`ClusterError` if workers end too often without finishing a task."""
         self._drop(name)
         self._lost += had_work
         if self._lost > _MOST_LOST + self._most:
@@ -108,12 +108,12 @@ class Crew(ABC, Generic[T]):
             )
 
     def _check_refused(self) -> None:
-        """Raise :class:`ClusterError` with the reason for which a worker was left out, if one was."""
+        """Raise :class:`ClusterError` with the reason of the first excluded worker, if there is one."""
         for name, why in self._refused.items():
             raise ClusterError(f"no worker can be used; {name}: {why}")
 
     def _drop(self, name: str) -> None:
-        """Send no more to a worker, and take back what it had, but for what others hold."""
+        """Send nothing more to a worker, and take back its tasks, except those whose sums other workers hold."""
         worker = self._workers.pop(name, None)
         if worker is not None:
             held = self._pool.held_by_others(name, sorted(worker.flights))
@@ -126,7 +126,7 @@ class Crew(ABC, Generic[T]):
         self._gone(name)
 
     def _refuse(self, name: str, why: str) -> None:
-        """Leave a worker out."""
+        """Exclude a worker."""
         self._refused[name] = why
         self._drop(name)
         if not self._workers and not self._has_made:  # else others may come back
@@ -142,7 +142,7 @@ class Crew(ABC, Generic[T]):
         self._pool.send(name, ticket, task)
 
     def _take(self, arrival: Arrival) -> tuple[str, T, Any] | None:
-        """(worker, task, outcome) of a task that was made. Others are given back. Raises the error of a task."""
+        """(worker, task, outcome) of a task that was done. Other tasks are given back. Raises the error of a task."""
         if isinstance(arrival.outcome, Delivered):
             self._delivered(arrival.ticket, arrival.outcome)
         if arrival.ticket not in self._flights:

@@ -21,10 +21,10 @@ from .gathering import Bundle, Gathering, held_by_others
 from .pool import Arrival, Delivered, Lost
 from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive, unfit
 
-#: Seconds to wait for a scheduler, for the first worker, for others that are there, and for an answer of a worker.
+#: Seconds to wait for a scheduler, the first worker, further present workers, and an answer of a worker.
 _CONNECT, _FIRST_WORKER, _OTHERS, _ANSWER = "10s", 60.0, 5.0, 60.0
 _LIST_EVERY = 0.5
-#: Bytes of a file from which on workers take it from each other.
+#: Size in bytes from which on workers copy a file from each other.
 _SHARED = 1 << 20
 #: Threads for transfers and questions.
 _HELPERS = 16
@@ -33,7 +33,7 @@ _HELPERS = 16
 def dask() -> Any:
     """The library ``distributed``; raises :class:`BackendError` if it is not installed."""
     found = library("distributed", "a cluster", "cluster")
-    # What parts of a scene are told goes with their tasks, and may be large: no reason for a warning of Dask's.
+    # Messages to parts of a scene are sent with their tasks and may be large, so Dask's warning is turned off.
     library("dask", "a cluster", "cluster").config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
     return found
 
@@ -64,15 +64,15 @@ class DaskPool:
             raise OptionError(
                 f"cluster= is an address such as tcp://host:8786, or a distributed.Client, not {cluster!r}"
             )
-        if self._owns_client:  # its losses are told by the executor
+        if self._owns_client:  # the executor reports losses
             for name in ("distributed", "distributed.client"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         self._futures: dict[int, Any] = {}
         self._gathering, self._lock = Gathering(), threading.Lock()
-        self._bundles: set[Bundle] = set()  # of several chunks, which have not arrived
+        self._bundles: set[Bundle] = set()  # sums of several chunks that have not arrived
         self._sharing = threading.Lock()
         self._pieces: dict[str, list[tuple[int, Any, bool]]] = {}  # of files that are being sent
-        self._sending: dict[str, int] = {}  # to how many workers
+        self._sending: dict[str, int] = {}  # number of workers, by digest
         self._arrived: queue.SimpleQueue[Arrival] = queue.SimpleQueue()
         self._helpers = ThreadPoolExecutor(_HELPERS, thread_name_prefix="etendue-cluster")
         self._known: dict[str, int | None] = {}
@@ -114,7 +114,7 @@ class DaskPool:
         self._when_done(Bundle((ticket,), worker, future), isinstance(task, Chunk) and task.may_merge)
 
     def _when_done(self, bundle: Bundle, merges: bool) -> None:
-        # In threads, since a transfer takes time, and does not end if the worker dies before: `forget` ends it.
+        # In threads, since a transfer takes time, and never ends if the worker dies before; `forget` cancels it.
         land = self._land if merges else self._fetch
         bundle.where.add_done_callback(lambda _: self._help(land, bundle))
 
@@ -170,7 +170,7 @@ class DaskPool:
             if several and bundle not in self._bundles:  # forgotten meanwhile
                 return
             self._bundles.discard(bundle)
-            if several and bundle.where.status == "error":  # and would be so again
+            if several and bundle.where.status == "error":  # and merging would fail again
                 self._gathering.merge_no_more()
         if several and isinstance(outcome, Lost):
             self._lose(bundle.tickets, outcome.reason)
@@ -190,7 +190,7 @@ class DaskPool:
             return None
         if isinstance(arrival.outcome, Delivered):
             return arrival
-        # Chunks of a sum that were forgotten are told to the executor, which cannot use the sum then.
+        # The executor also gets sums of which some chunks were forgotten, and cannot use them.
         known = [self._futures.pop(ticket, None) for ticket in (arrival.ticket, *arrival.others)]
         if not any(future is not None for future in known):
             return None
@@ -217,15 +217,15 @@ class DaskPool:
         for offset, piece, is_last in offered.pieces(digest):
             answers = self._ask(receive, digest, offset, piece, is_last, workers=[worker])
             problem = answers.get(worker, TimeoutError("it does not answer"))
-            if isinstance(problem, OSError):  # of the connection; those of the disk are told in words
+            if isinstance(problem, OSError):  # of the connection; a disk error comes as text
                 raise problem
             if problem is not None:
                 return describe(problem) if isinstance(problem, Exception) else str(problem)
         return None
 
     def _from_others(self, worker: str, offered: Offered, digest: str) -> str | None:
-        """Send the pieces of a file once, as data of the cluster: a worker that needs them takes them from any that has
-        them, and keeps them for others until all have the file."""
+        """Send the pieces of a file once, as data of the cluster: a worker copies them from any worker that has them,
+        and keeps them for others until all have the file."""
         with self._sharing:
             self._sending[digest] = self._sending.get(digest, 0) + 1
         try:
@@ -253,7 +253,7 @@ class DaskPool:
 
     def end_run(self, run: str) -> None:
         """See :class:`Pool`."""
-        for name in self._known:  # without waiting: their sums tell that they have ended
+        for name in self._known:  # without waiting: the arrival of their sums shows that they have ended
             self._help(partial(self._client.run, end_run, run, workers=[name], on_error="return"))
 
     def held_by_others(self, worker: str, tickets: list[int]) -> set[int]:
@@ -292,11 +292,11 @@ class DaskPool:
         import drjit as dr
 
         each = max(1, (threads or dr.thread_count()) // workers)
-        # A killed worker is no fault of its chunk: the executor counts how often that happens.
+        # A killed worker is not the fault of its chunk; the executor counts lost workers.
         settings.config.set(
             {
                 "distributed.scheduler.allowed-failures": 1000,
-                # A worker that takes longer to come back, on a loaded machine, would be given up.
+                # Dask would give up a worker that restarts slowly on a loaded machine.
                 "distributed.deploy.lost-worker-timeout": "1 day",
             }
         )
@@ -334,8 +334,8 @@ class DaskPool:
             ) from error
 
     def _wait_for_workers(self, count: int) -> None:
-        """Wait for so many workers, and for all others that are there: a method whose passes depend on each other has
-        a replica for each."""
+        """Wait for ``count`` workers, and for all others that are present: a method whose passes depend on each other
+        has a replica for each."""
         begin, patience = time.monotonic(), _OTHERS if self._local is None else _FIRST_WORKER
         while True:
             self._listed = -1.0
@@ -353,7 +353,7 @@ class DaskPool:
             time.sleep(0.1)
 
     def _greet(self, there: dict[str, int]) -> None:
-        """Find out whether new workers can be used, without waiting: one that has just ended answers late or never."""
+        """Ask new workers whether they can be used, without waiting: a worker that has just ended may never answer."""
         for name in there:
             if name not in self.pids and name not in self._bad and name not in self._greetings:
                 ask = partial(self._client.run, introduce, self._local is not None, workers=[name], on_error="return")
@@ -367,7 +367,7 @@ class DaskPool:
                 self.pids[name] = answer["pid"]
 
     def _ask(self, function: Any, *arguments: Any, workers: list[str]) -> dict[str, Any]:
-        """The answers of workers, or the errors. Workers that do not answer are left out."""
+        """The answers of workers, or their errors, without workers that do not answer."""
         asked = {
             name: self._helpers.submit(self._client.run, function, *arguments, workers=[name], on_error="return")
             for name in workers

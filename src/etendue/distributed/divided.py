@@ -19,16 +19,16 @@ from .pool import Pool
 from .recipe import Recipe
 from .worker import Carried, Errand
 
-#: Paths of a task, at most.
+#: Largest number of paths of a task.
 _BATCH = 1 << 16
 #: Passes whose paths are under way at the same time, so that workers have something to do while the last paths of a
 #: pass end.
 _AHEAD = 2
-#: Tasks of a worker at a time.
+#: Number of tasks of a worker at a time.
 _IN_FLIGHT = 2
 _TICK = 0.1
 
-#: Who carries the paths of a box: always the same worker, or whoever has nothing to do, if possible one that has it.
+#: The worker for the paths of a box: always the same one, or an idle one, if possible one that holds the box.
 BOX_SCHEDULES = ("static", "demand")
 
 #: Records of paths, (n, words) uint32; column 1 is the box in which a path goes on.
@@ -37,7 +37,7 @@ Records = NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class Visit:
-    """One task: which worker carried how many paths through which box."""
+    """One task: the worker, the box, and the number of paths carried through the box."""
 
     worker: str
     box: int  #: -1 where paths began
@@ -48,7 +48,7 @@ class Visit:
 
 @dataclass
 class Traffic:
-    """What the tasks of a run were, in the order in which they ended."""
+    """The tasks of a run, in the order in which they ended."""
 
     visits: list[Visit] = field(default_factory=list)
     received: int = 0  #: bytes of records and products that came from workers
@@ -78,10 +78,10 @@ class Divided(Crew[Errand]):
 
     recipes: of the method in each box, whose functions ``emit`` and ``carry`` return (product, records, counters).
     gather: makes the measurement of a pass of its iteration, products and counters. paths: of a pass. kept: boxes that
-    a worker holds at a time, the last used ones; by default all boxes are held once. schedule: one of
+    a worker holds at a time, the last used ones; by default an equal share of all boxes. schedule: one of
     :data:`BOX_SCHEDULES`.
 
-    Records go over this process. A lost worker's tasks are sent again, and a product counts once.
+    Records pass through this process. The tasks of a lost worker are sent again, and each product counts once.
     """
 
     keeps_time: ClassVar[bool] = False
@@ -111,10 +111,10 @@ class Divided(Crew[Errand]):
         self._begun = len(order.done)
         self._open: dict[int, _Open] = {}
         self._ready: list[int] = []
-        self._beginnings: list[Errand] = []  # of paths, in any box
-        #: Tasks that wait, by box.
+        self._beginnings: list[Errand] = []  # tasks in which paths begin, for any box
+        #: Waiting tasks by box.
         self._waiting: dict[int, list[Errand]] = {box: [] for box in range(len(recipes))}
-        #: What each worker holds, the last used box last.
+        #: Boxes that each worker holds, the last used box last.
         self._holds: dict[str, OrderedDict[int, None]] = {}
         self._box_of = {recipe.digest: box for box, recipe in enumerate(recipes)}
         self._shares: dict[str, int] = {}
@@ -134,7 +134,7 @@ class Divided(Crew[Errand]):
         return self._finished()
 
     def rest(self) -> Iterator[Pass]:
-        """See :class:`Executor`: passes whose paths are under way are given up."""
+        """See :class:`Executor`: unfinished passes are given up."""
         return iter(())
 
     def close(self) -> None:
@@ -161,7 +161,7 @@ class Divided(Crew[Errand]):
 
     @property
     def _kept(self) -> int:
-        """Boxes that a worker holds."""
+        """Number of boxes that a worker holds."""
         share = -(-len(self._recipes) // max(1, len(self._workers)))
         return max(1, share if self._most_kept is None else self._most_kept)
 
@@ -200,7 +200,7 @@ class Divided(Crew[Errand]):
                 self._send(name, replace(task, kept=self._kept, threads=worker.threads))
 
     def _choose(self, name: str) -> int | None:
-        """The box for a worker: of those that wait, the fullest that it may carry."""
+        """The next box for a worker: of the boxes open to it, the one with the most waiting paths."""
         full = {box: sum(map(_size, queue)) for box, queue in self._waiting.items() if queue}
         if self._schedule == "static":
             names = sorted(self._workers)
@@ -208,7 +208,7 @@ class Divided(Crew[Errand]):
         elif mine := {box: n for box, n in full.items() if box in self._holds[name]}:
             full = mine
         else:
-            # What another worker holds is left to it, unless that would take it long.
+            # A box that another worker holds is left to that worker, unless many paths wait.
             others = self._held_by_others(name)
             full = {box: n for box, n in full.items() if box not in others or n > 2 * _BATCH}
         return max(full, key=lambda box: full[box], default=None)
@@ -226,7 +226,7 @@ class Divided(Crew[Errand]):
         return next(iter(mine if self._schedule == "static" else free), None)
 
     def _joined_tasks(self, queue: list[Errand]) -> Errand:
-        """The first task of a queue, with the paths of others of the same pass as long as they are not too many."""
+        """The first task of a queue, with the paths of others of the same pass, up to :data:`_BATCH` paths."""
         first = queue.pop(0)
         if isinstance(first.paths, tuple):
             return first

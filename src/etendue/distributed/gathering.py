@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-#: Sums that a worker merges at a time, and that the client fetches at a time.
+#: Number of sums that a worker merges at a time, and that the client fetches at a time.
 _FAN_IN, _FETCHES = 8, 2
-#: Merging costs a task: not worth it for sums that are fetched faster (seconds).
+#: Seconds of a fetch below which sums are not merged, since merging costs a task.
 _LEAST = 0.002
 
 
@@ -19,8 +19,8 @@ class Bundle:
 
     tickets: tuple[int, ...]
     worker: str
-    where: Any = None  #: of the pool
-    #: Workers that hold the parts of it, until they are merged.
+    where: Any = None  #: the pool's reference to the sum
+    #: Workers that hold the parts of the sum, until they are merged.
     sources: frozenset[str] = frozenset()
     level: int = 0  #: how often its parts were merged
 
@@ -37,7 +37,7 @@ class Bundle:
 
 
 def held_by_others(bundles: Iterable[Bundle], worker: str, tickets: Iterable[int]) -> set[int]:
-    """Those of a worker's ``tickets`` that are in sums which are not lost with it."""
+    """The ``tickets`` of a worker that are in sums which are not lost with the worker."""
     found, asked = set(), set(tickets)
     for bundle in bundles:
         if not bundle.needs(worker):
@@ -48,15 +48,15 @@ def held_by_others(bundles: Iterable[Bundle], worker: str, tickets: Iterable[int
 class Gathering:
     """Decides which sums are fetched and which are merged first.
 
-    As long as the client keeps up, every sum is fetched as it is. If ``fan_in`` sums of the same level wait, they
-    become one of the next level, and those of the highest level are fetched first: merging is a tree over the workers,
-    as deep as the backlog needs [Leeson 2001, sec. 6.3: whole buffers sent to one place limit the speed-up]."""
+    As long as the client keeps up, every sum is fetched as it is. If ``fan_in`` sums of the same level wait, they are
+    merged to one of the next level, and sums of the highest level are fetched first: merging is a tree over workers, as
+    deep as the backlog requires [Leeson 2001, sec. 6.3: whole buffers sent to one place limit the speed-up]."""
 
     def __init__(self, fan_in: int = _FAN_IN, fetches: int = _FETCHES, least: float = _LEAST) -> None:
         self._fan_in, self._fetches, self._least = fan_in, fetches, least
         self._waiting: defaultdict[int, deque[Bundle]] = defaultdict(deque)  # by level
         self._fetching = 0
-        self._seconds = 0.0  # of a fetch, lately
+        self._seconds = 0.0  # of a fetch, moving average
         self.merges = 0
 
     def put(self, bundle: Bundle) -> None:

@@ -1,4 +1,4 @@
-"""What an executor needs of a set of worker processes, however they are started and reached."""
+"""Interface between an executor and a set of worker processes, however they are started and reached."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from .worker import Merged, Outcome, Task
 
 @dataclass(frozen=True)
 class Lost:
-    """The end of a task that was not done, because its worker has ended or cannot be reached. ``worker_is_there``: the
-    outcome is lost, but not the worker."""
+    """The end of a task that was not done, because its worker has ended or cannot be reached. ``worker_is_there``: only
+    the outcome is lost, not the worker."""
 
     reason: str = ""
     worker_is_there: bool = False
@@ -28,7 +28,7 @@ class Delivered:
 
 @dataclass(frozen=True)
 class Arrival:
-    """The end of a task. ``seconds``: what it took to bring the outcome here."""
+    """The end of a task. ``seconds``: transfer time of the outcome."""
 
     ticket: int
     outcome: Outcome | Lost | Delivered | Merged
@@ -41,8 +41,8 @@ class Pool(Protocol):
     """Worker processes. A worker does one task at a time, in the order in which they were sent to it."""
 
     def workers(self) -> dict[str, int | None]:
-        """The workers there are now: name, and threads that Dr.Jit shall use, ``None`` for all. Workers may come and
-        go; the names of new ones are new. Raises :class:`ClusterError` if the cluster is gone."""
+        """The current workers: name, and number of threads for Dr.Jit, ``None`` for all. Workers may come and go; a new
+        worker has a new name. Raises :class:`ClusterError` if the cluster is gone."""
         ...
 
     def send(self, worker: str, ticket: int, task: Task) -> None:
@@ -50,7 +50,7 @@ class Pool(Protocol):
         ...
 
     def wait(self, seconds: float) -> Arrival | None:
-        """The next arrival, waiting at most so long."""
+        """The next arrival; ``None`` if there is none within ``seconds``."""
         ...
 
     def deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
@@ -62,11 +62,11 @@ class Pool(Protocol):
         ...
 
     def held_by_others(self, worker: str, tickets: list[int]) -> set[int]:
-        """Those of a worker's tasks whose sums lie, merged, at other workers: they arrive also if it has ended."""
+        """The tasks of a worker whose sums are in merged sums at other workers: they arrive even if it has ended."""
         ...
 
     def forget(self, tickets: list[int]) -> None:
-        """Cancel tasks that did not begin; their arrivals, if any, are ignored."""
+        """Cancel tasks that have not begun; later arrivals of all ``tickets`` are ignored."""
         ...
 
     def close(self) -> None:

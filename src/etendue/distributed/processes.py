@@ -19,7 +19,7 @@ from .worker import Task, ends_by, introduce, make_passes
 
 
 class ProcessPool:
-    """``count`` processes with so many ``threads`` of Dr.Jit each; implements :class:`Pool`. A process that ends is
+    """``count`` processes with ``threads`` Dr.Jit threads each; implements :class:`Pool`. A process that ends is
     replaced."""
 
     def __init__(self, count: int, threads: int | None = None) -> None:
@@ -103,7 +103,7 @@ class ProcessPool:
 
 
 def _begin(ended: Any) -> None:
-    """In a process of the pool: it ends with its parent, also if that is killed."""
+    """In a process of the pool: end it with its parent, even if the parent is killed."""
     ends_by(ended)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -1,4 +1,4 @@
-"""Recipes: how a worker makes the problem and the method of a run, as JSON and files by content."""
+"""Recipes: JSON, and files by content, from which a worker makes the problem and the method of a run."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _ARGUMENT = "argument/"
 
 @dataclass
 class Ingredients:
-    """What a worker needs to make a problem: plain values, arrays and files. ``open`` is the name of a function
-    ``module:name`` of (ingredients, folder), which returns a problem; the files are at their places in the folder."""
+    """Plain values, arrays and files from which a worker makes a problem. ``open`` is the name ``module:name`` of a
+    function of (ingredients, folder) that returns the problem; the files are at their places in the folder."""
 
     open: str
     values: dict[str, Any]
@@ -90,7 +90,7 @@ class Lacking(Exception):
 
 
 class OpenRecipe:
-    """A recipe in a worker: its problem, of which methods are made."""
+    """A recipe in a worker: its problem, for which methods are made."""
 
     def __init__(self, store: Store, digest: str) -> None:
         """Raises :class:`Lacking` if files are to be sent, :class:`ClusterError` if this worker cannot be used, and the
@@ -111,7 +111,7 @@ class OpenRecipe:
         try:
             self.problem = _named(manifest["open"])(ingredients, folder)
         finally:
-            if files:  # all is read
+            if files:  # they have been read
                 shutil.rmtree(folder, ignore_errors=True)
         if manifest["fingerprint"] not in (None, self.problem.fingerprint):
             raise ClusterError("the scene is another one there: its files or plugins differ")
@@ -157,7 +157,7 @@ def _named(name: str) -> Any:
 
 
 def scene_ingredients(task: Task) -> Ingredients:
-    """Those of a rendering. Raises :class:`SceneError` for a scene in memory."""
+    """The ingredients of a rendering. Raises :class:`SceneError` for a scene in memory."""
     scene = portable(task.scene, task.parameters)
     values = {"scene": scene.description, "sensor": task.sensor, "size": task.size, "memory": task.memory}
     if task.camera is not None:
@@ -168,7 +168,7 @@ def scene_ingredients(task: Task) -> Ingredients:
 
 
 def part_ingredients(task: Task, shapes: Collection[str]) -> Ingredients:
-    """Those of a part of a scene: the shapes with these ids, and the files that they need. Errors as
+    """The ingredients of a part of a scene: the shapes with these ids, and the files that they need. Errors as
     :func:`scene_ingredients`."""
     scene = portable(task.scene, task.parameters)
     files = part_files(scene, task.scene, shapes, task.parameters)
@@ -178,7 +178,7 @@ def part_ingredients(task: Task, shapes: Collection[str]) -> Ingredients:
 
 
 def open_scene(ingredients: Ingredients, folder: Path) -> Any:
-    """Load the scene of :func:`scene_ingredients`."""
+    """Load the scene of :func:`scene_ingredients` or :func:`part_ingredients`."""
     values = ingredients.values
     scene = PortableScene(values["scene"], ingredients.arrays)
     source, parameters = restored(scene, folder)

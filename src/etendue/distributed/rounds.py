@@ -1,4 +1,4 @@
-"""The executor of a scene whose parts live in workers: a pass is a talk between the client and all parts."""
+"""The executor of a scene whose parts are in workers: in a pass, the client exchanges messages with all parts."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ Conversation = Generator[Sequence[Message] | None, Sequence[Message] | None, Mea
 
 @dataclass
 class Shared:
-    """What a worker had of a divided scene, and what it did."""
+    """The parts of a divided scene in a worker, and the worker's messages."""
 
-    #: Of each part that it had, the most bytes that were kept there between two messages.
+    #: For each part in the worker, the largest number of bytes kept between two messages.
     parts: dict[int, int] = field(default_factory=dict)
     messages: int = 0
     loads: int = 0  #: how often a part was loaded
-    sent: int = 0  #: bytes of arrays that it was sent
-    received: int = 0  #: bytes of arrays that it sent
+    sent: int = 0  #: bytes of arrays sent to the worker
+    received: int = 0  #: bytes of arrays received from the worker
     seconds: float = 0.0
 
     @property
     def kept(self) -> int:
-        """Bytes that all its parts kept, at most."""
+        """Upper bound on the bytes that all its parts kept at a time."""
         return sum(self.parts.values())
 
 
 @dataclass
 class Correspondence:
-    """What was sent in a run to parts of a scene in workers, by worker."""
+    """The messages of a run to and from parts of a scene in workers, by worker."""
 
     workers: dict[str, Shared] = field(default_factory=dict)
-    rounds: int = 0  #: in which all parts had a message
-    begun_anew: int = 0  #: parts that went through a pass again, because their worker was lost in the middle
+    rounds: int = 0  #: number of rounds, in each of which all parts get a message
+    begun_anew: int = 0  #: parts that repeated a pass, because their worker was lost during it
 
     def of(self, worker: str) -> Shared:
-        """That of a worker."""
+        """The entry of a worker."""
         return self.workers.setdefault(worker, Shared())
 
     @property
@@ -76,15 +76,16 @@ class _Part:
 
 
 class Rounds(Crew[Talk]):
-    """Makes passes of a method whose scene is divided: what the client has talks to each part, which lives in a worker;
-    implements ``engine.Executor``.
+    """Makes passes of a method whose scene is divided: the client exchanges messages with each part, which is in a
+    worker; implements ``engine.Executor``.
 
-    recipes: of each part; its function makes a :class:`.Correspondent`. weights: of each part, by which they are given
-    to workers, the heaviest first; a part stays with its worker. talk: begins a pass, see :data:`Conversation`; it may
-    work between its messages and the wait for the answers. correspondence: takes down what is sent.
+    recipes: of each part; its function makes a :class:`.Correspondent`. weights: of each part; parts are given to
+    workers by weight, the heaviest first, and a part stays with its worker. talk: begins a pass, see
+    :data:`Conversation`; it may work between its messages and the wait for the answers. correspondence: records the
+    messages.
 
-    If a worker is lost, another one is sent its parts and all messages of the pass, and only the answer to the last one
-    counts. One pass is made at a time, and the end of a run waits for it.
+    If a worker is lost, another one gets its parts and all messages of the pass, and only the answer to the last
+    message counts. One pass is made at a time, and the end of a run waits for it.
     """
 
     keeps_time: ClassVar[bool] = False
@@ -150,7 +151,7 @@ class Rounds(Crew[Talk]):
         return {name: shared.messages for name, shared in self.correspondence.workers.items()}
 
     def _listen(self, answers: Sequence[Message] | None) -> Pass | None:
-        """Go on with the pass until it waits for answers, or ends."""
+        """Continue the pass until it waits for answers or ends."""
         assert self._talk is not None
         try:
             while (said := self._talk.send(answers)) is not None:
@@ -162,7 +163,7 @@ class Rounds(Crew[Talk]):
                 self._feed()
         except StopIteration as ended:
             self._talk = None
-            for part in self._parts:  # they may be large
+            for part in self._parts:  # messages may be large
                 part.messages, part.answer = [], None
             return Pass(ended.value, self._order.state)
         except BaseException:
@@ -181,13 +182,13 @@ class Rounds(Crew[Talk]):
                 part.worker, part.known = None, 0
 
     def _not_made(self, task: Talk) -> None:
-        # Whatever became of it: the worker is sent the whole pass, and begins it anew.
+        # In any case the worker gets all messages of the pass, and begins the pass anew.
         part = self._parts[task.part]
         part.in_flight, part.known = False, 0
 
     def _leave_idle_workers(self) -> None:
-        """At the beginning of a pass parts have no state: workers that have joined take some from those that have
-        several."""
+        """Give idle workers parts of workers that have several. Only at the beginning of a pass, when parts have no
+        state."""
         for name in self._workers:
             loads = self._loads()
             most = max(loads, key=lambda other: (loads[other], other))
@@ -203,7 +204,7 @@ class Rounds(Crew[Talk]):
         return loads
 
     def _give_out(self) -> None:
-        """A worker for each part that has none: the heaviest part to the one that has least."""
+        """Give each part without a worker, the heaviest first, to the worker with the least weight."""
         for part in sorted(self._parts, key=lambda part: -part.weight):
             if part.worker is None and self._workers:
                 loads = self._loads()

@@ -13,7 +13,7 @@ from etendue.engine import Order
 
 from .worker import Chunk, Made
 
-#: Chunks of a worker at a time: while one is made, the next one is there.
+#: Chunks of a worker at a time: the next chunk is present while the first is made.
 _IN_FLIGHT = 2
 
 #: First iteration, number of passes, replica and state of a chunk.
@@ -26,8 +26,8 @@ class Schedule(Protocol):
     in_flight: ClassVar[int]  #: chunks that a worker may have at a time
 
     def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
-        """Up to ``count`` consecutive passes for one of ``workers``; ``None`` if there is nothing for it until passes
-        are given back or other workers leave."""
+        """Up to ``count`` consecutive passes for ``worker``, one of ``workers``; ``None`` if there are none until
+        passes are given back or other workers leave."""
         ...
 
     def give_back(self, chunk: Chunk, first: int) -> None:
@@ -44,7 +44,7 @@ class Schedule(Protocol):
 
 
 class OnDemand:
-    """Passes in their order, to whoever asks."""
+    """Passes in their order, to the next worker that asks."""
 
     in_flight: ClassVar[int] = _IN_FLIGHT
 
@@ -76,12 +76,12 @@ class OnDemand:
         """See :class:`Schedule`: there is no state."""
 
     def lost(self, worker: str) -> None:
-        """See :class:`Schedule`: what it had is given back chunk by chunk."""
+        """See :class:`Schedule`: the chunks of the worker are given back one by one."""
 
 
 class Static:
-    """Equal shares of all passes from the beginning, one a worker. What a worker that is gone had goes to whoever has
-    nothing left; workers that come late have nothing else."""
+    """Equal shares of all passes from the beginning, one for each worker. The passes of a lost worker go to workers
+    that have none left; workers that join later get no others."""
 
     in_flight: ClassVar[int] = _IN_FLIGHT
 
@@ -129,7 +129,7 @@ class Static:
 
 
 class Stealing(Static):
-    """Equal shares at first. A worker that has nothing left takes from the one that has most, in the ratio of the
+    """Equal shares at first. A worker without passes takes some from the worker with the most, in the ratio of the
     passes that both have made [Leeson 2001, sec. 5.6.4]."""
 
     def _refill(self, worker: str, queue: deque[range]) -> bool:
@@ -151,7 +151,7 @@ class Stealing(Static):
 
 
 class Replicas:
-    """Passes of replicas, each of which is at one worker at a time."""
+    """Passes of replicas; each replica is at one worker at a time."""
 
     in_flight: ClassVar[int] = 1
 
@@ -159,13 +159,13 @@ class Replicas:
         self._states: list[State | None] = list(order.state["replicas"])
         self._passes: list[int] = list(order.state["passes"])
         self._homes: dict[int, str] = {}
-        #: Worker and iteration of the state that it holds.
+        #: By replica: worker and iteration of the state that the worker holds.
         self._held: dict[int, tuple[str, int]] = {}
         self._busy: set[int] = set()
         self._most = order.most
 
     def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
-        """The next passes of the replica that lives at a worker, or of one whose worker is gone."""
+        """The next passes of a replica of this worker, or of one whose worker is gone."""
         owners = Counter(home for home in self._homes.values() if home in workers)
         own, fewest = owners[worker], 0 if len(owners) < len(workers) else min(owners.values())
         mine = [
@@ -196,7 +196,7 @@ class Replicas:
         assert chunk.replica is not None
         self._busy.discard(chunk.replica)
         if first == chunk.first:
-            self._held.pop(chunk.replica, None)  # the next chunk takes the state along
+            self._held.pop(chunk.replica, None)  # the next chunk includes the state
 
     def after(self, worker: str, chunk: Chunk, made: Made) -> State:
         """See :class:`Schedule`."""
@@ -231,7 +231,7 @@ def schedule_of(name: str, order: Order, carries_on: bool) -> Schedule:
 
 
 def _ranges(numbers: Iterator[int]) -> list[range]:
-    """Ascending numbers as ranges of consecutive ones."""
+    """Ascending numbers as ranges of consecutive numbers."""
     found: list[range] = []
     for number in numbers:
         if found and found[-1].stop == number:
@@ -242,7 +242,7 @@ def _ranges(numbers: Iterator[int]) -> list[range]:
 
 
 def _shares(ranges: list[range], parts: int) -> list[deque[range]]:
-    """The numbers of ranges in ``parts`` equal parts, as far as they can be divided."""
+    """The numbers of ranges in ``parts`` parts whose sizes differ by at most 1."""
     total, shares = sum(map(len, ranges)), []
     rest = deque(ranges)
     for part in range(parts):

@@ -25,8 +25,8 @@ _TRANSFER_SHARE, _STATE_SHARE = 0.05, 0.02
 #: A chunk takes at most this share of the time that all workers need for the passes that are left, so that they end at
 #: about the same time.
 _SHARE_OF_REST = 0.5
-#: What the end of a run waits for passes that have begun: seconds; multiples of the transfer of a sum, and of a pass.
-#: At the end of the time, passes have ended by themselves.
+#: Waiting time at the end of a run for passes that have begun: seconds, multiples of the transfer of a sum, and
+#: multiples of a pass; the last is for runs that end by time, whose passes have mostly ended by then.
 _GRACE, _GRACE_TRANSFERS, _GRACE_PASSES, _GRACE_PASSES_IN_TIME = 1.0, 2.0, 3.0, 0.5
 _TICK = 0.1
 
@@ -35,8 +35,8 @@ class Spread(Crew[Chunk]):
     """Makes passes in worker processes; implements ``engine.Executor``.
 
     Independent passes are handed out in chunks of consecutive iterations, of such a length that the transfer of their
-    sum costs little. What a lost worker had is made again by others. Replicas of a method whose passes depend on each
-    other are given to a worker each; if it is lost, another one continues from the last state that has arrived.
+    sum costs little. The passes of a lost worker are made again by others. Replicas of a method whose passes depend on
+    each other are given to one worker each; if a worker is lost, another continues from the last state that arrived.
 
     ``attributes`` are set on the method in the workers. longest: most passes of a chunk; with one, passes come one by
     one. schedule: one of :data:`SCHEDULES`.
@@ -62,8 +62,8 @@ class Spread(Crew[Chunk]):
         self._ending = False
         self._shares: dict[str, int] = {}
         self._work = schedule_of(schedule, order, recipe.carries_on)
-        #: Workers with room for a chunk, and those for whom there was none.
-        self._speeds = _Sum()  # passes a second
+        self._speeds = _Sum()  # passes per second
+        #: Workers with room for a chunk, and workers for which there was no chunk.
         self._hungry: set[str] = set()
         self._starved: set[str] = set()
         self._look(now=True)
@@ -117,13 +117,13 @@ class Spread(Crew[Chunk]):
         self._feed_all()
 
     def _feed_all(self) -> None:
-        """There is work again for workers that had none."""
+        """Look again at workers for which there was no chunk."""
         self._hungry |= self._starved
         self._starved.clear()
 
     def _feed(self) -> None:
         """Send chunks to workers that have few."""
-        # A run makes one pass at least: where preparation in the workers takes all of the time, too.
+        # A run makes at least one pass, even if preparation in the workers takes all of the time.
         left = self._order.left() if self._shares else None
         if left is not None and left <= 0:
             return
@@ -137,7 +137,7 @@ class Spread(Crew[Chunk]):
                     self._give(name, worker, left, level)
 
     def _give(self, name: str, worker: Member, left: float | None, level: int) -> None:
-        """Send the next chunk of a worker, if there is one."""
+        """Send the next chunk to a worker, if there is one."""
         count = self._length(worker, left, may_wait=level > 0)
         found = self._work.take(name, count, self._workers.keys()) if count > 0 else None
         if found is None:
@@ -170,14 +170,14 @@ class Spread(Crew[Chunk]):
         rest = None if self._order.most is None else self._order.most - self._planned
         if worker.pace is None:
             return 0 if may_wait else 1 if rest is None else min(1, rest)
-        # Many workers send more seldom, or the sums would arrive faster than one process can add them.
+        # With many workers each sends less often, or the sums would arrive faster than one process can add them.
         carries_on = self._recipe.carries_on
         share = _STATE_SHARE if carries_on else _TRANSFER_SHARE
         seconds = min(max(_SHORTEST, self._transfer * max(1 / share, len(self._workers))), _LONGEST)
         seconds = seconds if left is None else min(seconds, left)
         if rest is not None and not carries_on:  # a replica leaves nothing to other workers
             speed = self._speeds.total * len(self._workers) / max(1, len(self._speeds))
-            # Not less than the client needs to take a sum of each.
+            # At least the time in which the client can receive a sum from each worker.
             least = min(_SHORTEST, self._transfer * len(self._workers))
             seconds = min(seconds, max(least, _SHARE_OF_REST * rest / speed))
         count = int(seconds / max(worker.pace, 1e-6))
@@ -199,11 +199,11 @@ class Spread(Crew[Chunk]):
         return Pass(_writable(made.measurement), self._order.state if state is None else state)
 
     def _bundle(self, arrival: Arrival, merged: Merged) -> Pass | None:
-        """The sum of several chunks. If one of them was given up meanwhile, others make its passes: then the sum cannot
-        be used."""
+        """The sum of several chunks. It cannot be used if one of them was given up meanwhile, because other workers
+        then make its passes."""
         outcomes = dict(zip((arrival.ticket, *arrival.others), merged.outcomes, strict=True))
         made = {ticket for ticket, outcome in outcomes.items() if isinstance(outcome, Made)}
-        for ticket in outcomes.keys() - made:  # first: a worker may be dropped with what it has made
+        for ticket in outcomes.keys() - made:  # first: a worker may be dropped together with its chunks
             self._take(Arrival(ticket, outcomes[ticket]))
         usable = made <= self._flights.keys()
         for ticket in made:
@@ -236,7 +236,7 @@ class Spread(Crew[Chunk]):
 
 
 class _Sum(dict[str, float]):
-    """Numbers by name, and their sum, which a change does not add up anew."""
+    """Numbers by name, and their sum, which is updated at each change instead of computed anew."""
 
     total = 0.0
 
@@ -251,8 +251,8 @@ class _Sum(dict[str, float]):
 
 
 def _writable(measurement: Measurement) -> Measurement:
-    """The measurement, or a copy if its arrays lie in a received message or are in single precision, so that nothing
-    can be added to them."""
+    """The measurement, or a copy if nothing can be added to its arrays, because they lie in a received message or are
+    in single precision."""
     tables = (measurement.sums, measurement.squares, measurement.products)
     arrays = [array for table in tables for array in table.values()]
     if all(array.flags.writeable and array.dtype == np.float64 for array in arrays):

@@ -1,4 +1,4 @@
-"""Messages to the parts of a scene that live in workers, each with a state of its own during a pass."""
+"""Messages to the parts of a scene in workers; each part has a state of its own during a pass."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Message = Mapping[str, Any]
 
 
 class Correspondent(Protocol):
-    """A method of a part, as a recipe makes it. Its answers depend on the pass and the messages before, only."""
+    """A method of a part, made by a recipe. Its answers depend only on the pass and on earlier messages of the pass."""
 
     def begin(self, iteration: int) -> None:
-        """Forget what was; the next messages are of this pass."""
+        """Discard the state; the next messages are those of this pass."""
         ...
 
     def answer(self, message: Message) -> dict[str, Any]:
@@ -32,10 +32,10 @@ class Correspondent(Protocol):
 
 @dataclass(frozen=True)
 class Talk:
-    """Messages of a pass to one part of a scene, whose recipe the worker has; the answer to the last one is wanted.
+    """Messages of a pass to one part of a scene; the answer to the last one is returned.
 
-    ``first``: how many messages of the pass the worker has answered before. With 0 it begins the pass anew, so that a
-    worker can take the place of another one, and none takes a message twice.
+    ``first``: number of messages of the pass that the worker has answered before. With 0 it begins the pass anew, so
+    that a worker can replace another one, and no part receives a message twice.
     """
 
     run: str
@@ -45,7 +45,7 @@ class Talk:
     part: int
     first: int
     messages: Sequence[Message]
-    #: Parts that the worker keeps, the latest ones.
+    #: Number of the latest parts that the worker keeps.
     kept: int = 1
     threads: int | None = None
 
@@ -62,20 +62,21 @@ class Reply:
 
 @dataclass
 class Talking:
-    """A part in a worker, and how far it is in which pass."""
+    """A part in a worker, its current pass, and the number of messages answered in it."""
 
     method: Correspondent
     iteration: int = -1
     answered: int = 0
 
     def reply(self, task: Talk, loaded: bool) -> Reply | None:
-        """``None`` if the part is elsewhere than the task takes for granted: then it begins the pass anew."""
+        """``None`` if the part has not answered exactly the messages before ``task.first``: the client then begins the
+        pass anew."""
         begin = time.monotonic()
         if task.first == 0:
             self.method.begin(task.iteration)
         elif (self.iteration, self.answered) != (task.iteration, task.first):
             return None
-        # If a message raises, the state is not that after it, nor that before it.
+        # If a message raises, the state is undefined.
         self.iteration, self.answered = -1, 0
         answer: dict[str, Any] = {}
         for message in task.messages:

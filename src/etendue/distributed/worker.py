@@ -1,5 +1,5 @@
-"""What runs in a worker: it makes chunks of passes and sends their sum, carries paths through a box, or has a part of a
-scene and answers for it."""
+"""Code of a worker: it makes chunks of passes and sends their sum, carries paths through a box, or holds a part of a
+scene and answers messages to the part."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from .content import Store
 from .recipe import Lacking, OpenRecipe
 from .talking import Reply, Talk, Talking
 
-#: Bytes of an array from which on it is sent in single precision, and the largest number that then may be in it.
+#: Size in bytes from which on an array is sent in single precision, and the largest number that it may then contain.
 _LARGE, _LARGEST = 1 << 20, 1e30
-#: Runs whose methods a worker keeps, the latest ones.
+#: Number of the latest runs whose methods a worker keeps.
 _KEPT = 2
 
 
@@ -43,8 +43,8 @@ class Chunk:
     count: int
     #: Seconds that are left for passes when the chunk is sent.
     left: float | None = None
-    #: Of methods whose passes depend on each other: which replica, and the state before ``first`` where the worker
-    #: may not have it.
+    #: For methods whose passes depend on each other: the replica, and the state before ``first`` if the worker may not
+    #: have it.
     replica: int | None = None
     state: State | None = None
     #: Arguments of the method's ``plan``.
@@ -59,20 +59,20 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Errand:
-    """Paths of a pass that a worker carries through one box of a divided scene, whose recipe it has."""
+    """Paths of a pass that a worker carries through one box of a divided scene; ``recipe`` is that of the box."""
 
     run: str
     recipe: str  #: digest
     seed: int
     iteration: int
-    #: Records of paths; or the first path and the number of those that begin.
+    #: Records of paths; or the number of the first path and the number of paths that begin.
     paths: NDArray[np.uint32] | tuple[int, int]
-    #: Boxes whose scenes the worker keeps, the latest ones.
+    #: Number of the latest boxes whose scenes the worker keeps.
     kept: int = 1
     threads: int | None = None
 
 
-#: What a worker is asked to do.
+#: A task of a worker.
 Task = Chunk | Errand | Talk
 
 
@@ -100,7 +100,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Needs:
-    """What must be sent before the chunk can be made."""
+    """Files, by digest, or the state that must be sent before the task can be done."""
 
     digests: tuple[str, ...] = ()
     state: bool = False
@@ -108,7 +108,7 @@ class Needs:
 
 @dataclass(frozen=True)
 class Failed:
-    """The error of a chunk. ``refused``: this worker cannot make any; ``kind`` is the name of a class of errors."""
+    """The error of a task. ``refused``: this worker can do no task of the run; ``kind``: name of its class."""
 
     message: str
     kind: str
@@ -120,8 +120,8 @@ Outcome = Made | Carried | Reply | Needs | Failed
 
 @dataclass
 class Merged:
-    """Outcomes of several chunks, in the order of their tickets. Those that were made have no measurement: their sum is
-    ``total``."""
+    """Outcomes of several chunks, in the order of their tickets. A :class:`Made` outcome has no measurement here:
+    ``total`` is the sum of them all."""
 
     outcomes: list[Outcome]
     total: Measurement | None = None
@@ -148,8 +148,8 @@ def merge_outcomes(*outcomes: Outcome | Merged) -> Merged:
 
 
 def narrowed(measurement: Measurement) -> Measurement:
-    """The measurement with large arrays in single precision, half as many bytes to send: rounded by 6e-8. Arrays with
-    values that single precision does not have stay as they are."""
+    """The measurement with large arrays in single precision, which halves the bytes to send; relative rounding 6e-8.
+    Arrays with values outside the range of single precision do not change."""
 
     def few(array: Array) -> Array:
         if array.dtype != np.float64 or array.nbytes < _LARGE:
@@ -181,7 +181,7 @@ def make_passes(task: Task) -> Outcome:
 
 
 def receive(digest: str, offset: int, piece: bytes, is_last: bool) -> str | None:
-    """Store a piece of a file in this process's folder; returns what went wrong."""
+    """Store a piece of a file in this process's folder. Returns the problem, ``None`` if there is none."""
     try:
         _desk().store().receive(digest, offset, piece, is_last)
     except EtendueError as error:
@@ -190,12 +190,12 @@ def receive(digest: str, offset: int, piece: bytes, is_last: bool) -> str | None
 
 
 def end_run(run: str, seconds: float = 0.0) -> None:
-    """Begin no pass of ``run`` in this process that would end later than in so many seconds."""
+    """Begin no more passes of ``run`` in this process that would end later than ``seconds`` from now."""
     _desk().end(run, seconds)
 
 
 def ends_by(ended: Any) -> None:
-    """End runs in this process also when ``ended``, a number that processes share, is the run's."""
+    """Also end a run in this process when ``ended``, a number shared by processes, is the number of the run."""
     _desk().ended = ended
 
 
@@ -232,10 +232,10 @@ class _Run:
         self.opened = opened
         #: By replica, -1 if passes are independent: a method, the next iteration of its state, and the state.
         self.methods: dict[int, tuple[Method, int, State]] = {}
-        #: Of a scene whose parts are in several workers: the one that is here.
+        #: For a scene whose parts are in several workers: the part in this one.
         self.part: Talking | None = None
         self._first = 0.0  # seconds of the first pass of a method
-        self._recent: deque[float] = deque(maxlen=8)  # of later ones
+        self._recent: deque[float] = deque(maxlen=8)  # seconds of later passes
 
     def predict(self) -> float:
         """Seconds of the next pass, an upper estimate. The first one of a method includes compilation."""
@@ -336,7 +336,7 @@ class _Desk:
         if chunk.state is not None:
             at, state = chunk.first, chunk.state
             method.enter(state)
-        elif chunk.replica is not None and chunk.first == 0 and at:  # what it has made did not arrive
+        elif chunk.replica is not None and chunk.first == 0 and at:  # passes made here did not arrive
             at, state = 0, method.start()
             method.enter(state)
         for name, value in chunk.attributes.items():
@@ -391,5 +391,5 @@ def _failed(error: Exception, refused: bool = False) -> Failed:
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         error = ClusterError("its disk is full; free some room")
     known = next((c.__name__ for c in type(error).__mro__ if c.__module__ == EtendueError.__module__), "EtendueError")
-    # Another worker may have what this one lacks; but a scene or an option that is wrong is so on every worker.
+    # Another worker may have what is missing here, but a wrong scene or option is wrong on every worker.
     return Failed(describe(error), known, refused and known in ("ClusterError", "BackendError", "EtendueError"))

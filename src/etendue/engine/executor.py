@@ -11,7 +11,7 @@ from etendue.core import Iterations, Method, Pass, Replica, State
 
 @dataclass(frozen=True)
 class Order:
-    """What an executor is asked to make: passes of a prepared method that are not in ``done`` yet."""
+    """Passes that an executor is asked to make: passes of a prepared method that are not in ``done`` yet."""
 
     method: Method
     seed: int
@@ -35,8 +35,8 @@ class Executor(Protocol):
 
     @property
     def keeps_time(self) -> bool:
-        """Whether it makes only passes that end within ``Order.left``. Otherwise the runner predicts the time of a
-        pass."""
+        """Whether the executor makes only passes that end within ``Order.left``. Otherwise the runner predicts the time
+        of a pass."""
         ...
 
     def next(self) -> Pass | None:

@@ -1,7 +1,7 @@
 """Tasks and jobs: a requested rendering, and the same with a loaded scene and a prepared method, for runs that can be
 saved and resumed.
 
-The caller passes the class of the method: the engine knows no concrete one.
+The caller passes the class of the method: the engine knows no concrete method.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Task:
             if value is not None and (not is_whole(value) or value < least):
                 raise OptionError(f"{what} of at least {least}, not {value!r}")
         settings = self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
-        if getattr(settings, "cryptomatte", False):  # which tells shapes by their names
+        if getattr(settings, "cryptomatte", False):  # Cryptomatte identifies shapes by their names
             object.__setattr__(self, "merge", False)
 
     def place(self) -> dict[str, Any]:

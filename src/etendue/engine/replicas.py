@@ -17,12 +17,12 @@ def replica_seed(seed: int, replica: int) -> int:
 
 
 class Replicated:
-    """``count`` replicas of a prepared method as one method; implements ``core.Method``, other members are those of the
+    """``count`` replicas of a prepared method as one method. Implements ``core.Method``; other members are those of the
     method.
 
     Its state holds the state and the number of passes of each replica. :meth:`step` makes a pass of the replica with
     the fewest passes; an executor may make passes of all replicas at the same time. The number of replicas is part of
-    the identity of a run: a resumed one has the same.
+    the identity of a run: a resumed run has the same number.
     """
 
     def __init__(self, method: Method, problem: Any, seed: int, count: int) -> None:

@@ -87,7 +87,7 @@ class Runner:
     cancel: checked between passes.
     spent: seconds of preparing the method, which count towards the budget.
     executor: makes the passes.
-    watched: whether :attr:`progress` has the noise if the budget does not limit it.
+    watched: whether :attr:`progress` has the noise even if the budget does not limit it.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class Runner:
         self._measurement = start
         self._state = method.start() if state is None else state  # after the last pass of the measurement
         self.on_progress = on_progress
-        #: Puts progress in the words of the work, where that makes no picture.
+        #: Describes the progress of work that makes no picture in terms of that work.
         self.told: Callable[[Progress], Progress] | None = None
         self._on_save, self._save_if = on_save, save_if
         self._spent = spent
@@ -170,12 +170,12 @@ class Runner:
             executor.close()
         if self._measurement is None:
             raise Cancelled("stopped before the first pass was done; there is no picture")
-        # The pass that would have reached the end of the time was not started: the result is that of this time.
+        # The pass that would have reached the time limit was not started: the result counts as that at the limit.
         seconds = self.budget.seconds if reason == "seconds" else None
         return self._result(reason, self._saving.passed(seconds) if seconds is not None else ())
 
     def _order(self) -> Order:
-        """What is to be made. Calls ``plan`` of a method that has it."""
+        """The order for the executor. Calls ``plan`` of a method that has it."""
         done = self._measurement.iterations if self._measurement is not None else Iterations()
         most = self.budget.passes(self.method.samples_per_iteration)
         plan = self.budget.seconds, None if most is None else max(0, most - len(done)), self.budget.error

@@ -1,4 +1,4 @@
-"""When a run saves what it has so far."""
+"""Times of the intermediate saves of a run."""
 
 from __future__ import annotations
 

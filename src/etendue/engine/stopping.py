@@ -10,14 +10,15 @@ from etendue.core import Measurement, Method, OptionError, Progress
 
 from .budget import Budget
 
-#: What ended a run. ``running``: it continues (an intermediate save); ``failure``: a pass raised.
+#: What ended a run. ``samples``: samples or passes; ``running``: it continues (an intermediate save); ``failure``: a
+#: pass raised.
 StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running"]
 
 #: Relative growth of the number of passes between two estimates of the noise; independent of time, so that runs are
 #: reproducible.
 ERROR_CADENCE = 0.05
-#: Smallest number of passes after which an estimate of the noise may end a run. With fewer the estimate is too noisy,
-#: and where light is found rarely all of them may miss it and agree on a picture that is too dark.
+#: Smallest number of passes after which an estimate of the noise may end a run. With fewer passes the estimate is too
+#: noisy, and all passes may miss light that is rarely found, and agree on a picture that is too dark.
 LEAST_PASSES_FOR_ERROR = 16
 
 
@@ -57,8 +58,8 @@ class Stopping:
         self._finish_seconds = None
 
     def reason(self, measurement: Measurement | None, elapsed: float, predicts: bool = True) -> StoppedBy | None:
-        """The reason to end the run; ``None`` to make another pass. The time of the first pass is not predicted, nor is
-        that of others without ``predicts``."""
+        """The reason to end the run; ``None`` to make another pass. The time of the first pass is not predicted.
+        ``predicts``: whether the time of later passes is."""
         if self._cancel is not None and self._cancel.is_set():
             return "cancel"
         passes = len(measurement.iterations) if measurement is not None else 0
@@ -77,7 +78,7 @@ class Stopping:
     def look(self, measurement: Measurement) -> None:
         """Estimate the noise again, if the number of passes has grown enough since the last estimate."""
         passes = len(measurement.iterations)
-        # A method whose error is not that of pixels estimates it and says how often.
+        # A method whose error is not that of pixels estimates its error, and says how often.
         estimate = getattr(self.method, "noise", None)
         is_known = estimate is not None or measurement.has_error()
         if passes < self._next_error or not (self._watched and is_known):

@@ -1,7 +1,7 @@
 """Splats filtered once a pass instead of one by one.
 
-A splat reaches many pixels, 16 with Mitsuba's Gaussian, and so many additions at random places cost more than anything
-else about it. It is added to one cell of a grid instead, finer than the pixels and shifted at random from pass to pass;
+A splat reaches many pixels, 16 with Mitsuba's Gaussian, and these additions at random places are its largest cost.
+Therefore a splat is added to one cell of a grid that is finer than the pixels and shifted at random from pass to pass;
 at the end of the pass the grid is convolved to pixels. In cells of ``h`` pixels a contribution at ``x`` is in a cell
 whose upper edge lies uniformly between ``x`` and ``x + h``, so that its expected weight is that of the film's filter
 ``f``, exactly, if the weight ``g`` of a cell with its upper edge at ``y`` fulfils
@@ -20,15 +20,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-#: Cells of a pixel along an axis.
+#: Cells per pixel along an axis.
 PER_PIXEL = 2
-#: Accepted growth of the mean square of a splat's weights along an axis. A tent's is 1.12, for three additions saved.
+#: Accepted growth of the mean square of a splat's weights along an axis. A tent filter's
+#: growth is 1.12, and cells would save it three additions only.
 _MOST_GROWTH = 1.08
 
 
 def cell_weights(values: NDArray[np.float64], bins: int) -> NDArray[np.float64] | None:
-    """``g`` at the upper edges of cells of ``bins`` bins, bin by bin from ``h`` behind the begin of ``f``'s support,
-    of which ``values`` are the means in bins; ``None`` if it is too noisy."""
+    """Values of ``g``, one per bin, for upper edges of cells from ``h`` after the start of the support of ``f`` on.
+    ``values``: means of ``f`` in bins, of which a cell has ``bins``. ``None`` if ``g`` adds too much noise."""
     steps = bins * np.diff(values, prepend=0.0).reshape(-1, bins)
     weights: NDArray[np.float64] = steps.cumsum(axis=0).ravel()
     return weights if np.square(weights).sum() <= _MOST_GROWTH * np.square(values).sum() else None
@@ -40,7 +41,7 @@ class CellAxis:
 
     def __init__(self, weights: mi.Float, bins: int, inverse_integral: mi.Float, u: mi.Float) -> None:
         size = dr.width(inverse_integral)
-        self.count = PER_PIXEL * size + 1  # the first begins before the film, the last ends behind it
+        self.count = PER_PIXEL * size + 1  # the first begins before the film, the last ends after it
         shift = dr.minimum(mi.UInt32(u * bins), bins - 1)
         self._shift = mi.Float(shift) / bins
         self._weights = [dr.gather(mi.Float, weights, shift + start) for start in range(0, dr.width(weights), bins)]
@@ -52,7 +53,7 @@ class CellAxis:
         return mi.UInt32(mi.Int32(dr.floor(position * PER_PIXEL - self._shift)) + 1)
 
     def convolve(self, packets: mi.Float, first: mi.UInt32, stride: mi.UInt32, pixel: mi.UInt32) -> mi.Vector4f:
-        """What a ``pixel`` gets from the cells of its line, which begins at the packet ``first`` and has one every
+        """The value of ``pixel`` from the cells of its line, which begins at the packet ``first`` and has a cell every
         ``stride`` packets."""
         count, start = dr.opaque(mi.Int32, self.count), PER_PIXEL - len(self._weights) // 2
         result = mi.Vector4f(0.0)
@@ -77,8 +78,8 @@ class CellGrid:
         return self._down.cell(y) * dr.opaque(mi.UInt32, self._across.count) + self._across.cell(x)
 
     def pixels(self, packets: mi.Float) -> mi.Float:
-        """The pixels, a packet of four floats each, that ``packets`` of the cells make, of one picture or of several in
-        turn. Evaluates ``packets``."""
+        """The pixels, a packet of four floats each, of the cells ``packets`` of one picture or of several in turn.
+        Evaluates ``packets``."""
         dr.eval(packets)
         width, height = (dr.opaque(mi.UInt32, n) for n in self._size)
         lines = dr.width(packets) // (4 * self._across.count)

@@ -1,8 +1,8 @@
 r"""Components of a picture: emission, direct light, caustics and indirect light, which add up to it.
 
 The component of a path depends on the path alone, not on the technique that samples it. From the light L to the eye E,
-with S for a scattering by a mirror or by smooth glass (a delta component of the material) and D for any other one
-[Heckbert 1990]:
+with S for a scattering by a mirror or by smooth glass (a delta component of the material) and D for any other
+scattering [Heckbert 1990]:
 
 ========= ================ =================================================================================
 component paths            light
@@ -13,8 +13,8 @@ caustic   L S+ D S* E      that comes there from a lamp by mirrors and glass onl
 indirect  L .. D .. D S* E all other light
 ========= ================ =================================================================================
 
-Mirrors and glass between the camera and the surface D do not count: what they show has the components that it would
-have if it were seen directly. Null surfaces are no vertices of a path.
+Mirrors and glass between the camera and the surface D do not count: a surface seen through them has the components
+that it has when seen directly. Null surfaces are not vertices of a path.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ class Component(enum.IntEnum):
 
     @property
     def layer(self) -> str:
-        """Name of its layer."""
+        """Name of the component's layer."""
         return self.name.lower()
 
 
 #: Names of the layers, by number.
 COMPONENTS: Final[tuple[str, ...]] = tuple(component.layer for component in Component)
-#: Those that reflected light may have.
+#: Layers of reflected light: all but emission.
 REFLECTED: Final[tuple[str, ...]] = COMPONENTS[1:]
 
 
 def after_scattering(seen: mi.UInt32, is_delta: mi.Bool) -> mi.UInt32:
     """Component of a light at the end of the next edge of a camera path, after a scattering at the end of this one.
-    ``seen``: that of a light at the end of this edge; EMISSION at the first one."""
+    ``seen``: the component of a light at the end of this edge, EMISSION for the first edge."""
     by_mirror = dr.select(seen == int(Component.DIRECT), mi.UInt32(Component.CAUSTIC), seen)
     return dr.select(is_delta, by_mirror, reflected(seen))
 
@@ -60,13 +60,13 @@ def reflected(seen: mi.UInt32) -> mi.UInt32:
 
 
 def by_component(value: mi.Color3f, component: mi.UInt32) -> list[mi.Color3f]:
-    """``value`` as the parts of :data:`REFLECTED`, 0 but for its ``component``."""
+    """``value`` as a list over :data:`REFLECTED`, 0 except in its ``component``."""
     return [dr.select(component == number, value, 0.0) for number in range(Component.DIRECT, len(COMPONENTS))]
 
 
 def after_light_scattering(arriving: mi.UInt32, is_delta: mi.Bool) -> mi.UInt32:
-    """Component of what the next vertex of a light path reflects to the eye. ``arriving``: that of this vertex; DIRECT
-    at the first one, or 0 for a lamp that is to be told from others, whose light is DIRECT as well."""
+    """Component of the light that the next vertex of a light path reflects to the eye. ``arriving``: the component of
+    this vertex; DIRECT at the first vertex, or 0 for a lamp that is distinguished from others, also DIRECT."""
     indirect = mi.UInt32(Component.INDIRECT)
     by_mirror = dr.select(arriving == indirect, indirect, mi.UInt32(Component.CAUSTIC))
     return dr.select(is_delta, by_mirror, indirect)

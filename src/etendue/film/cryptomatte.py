@@ -1,7 +1,7 @@
-"""Cryptomatte [Friedman 2015]: which objects a pixel shows, and how much of it each covers, as compositors read it.
+"""Cryptomatte [Friedman 2015]: the objects that a pixel shows and the share of the pixel that each covers.
 
 The layers ``CryptoObject00``, ``CryptoObject01``, ... hold two ranks each: R and B are hashes of names as floats, G and
-A the coverage, the largest first. Attributes of the file tell the names by their hashes.
+A the coverage, the largest first. Attributes of the file map names to hashes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: Name of the matte, and what the names of its layers and of its attributes begin with.
+#: Name of the matte, with which the names of its layers begin, and prefix of its attributes.
 MATTE: Final = "CryptoObject"
 ATTRIBUTES: Final = "cryptomatte/"
 
@@ -41,8 +41,8 @@ def id_bits(name: str) -> int:
 def matte_layers(
     numbers: NDArray[np.uint32], coverage: NDArray[np.float32], names: Sequence[str]
 ) -> dict[str, NDArray[np.float32]]:
-    """The layers of a matte, (height, width, 4) each. ``numbers`` from 1 of the ``names`` that a pixel shows, and the
-    ``coverage`` of each: (height, width, ranks), an even number of ranks; 0 for none."""
+    """The layers of a matte, (height, width, 4) each. ``numbers``: which of the ``names`` a pixel shows, from 1, or 0
+    for none; ``coverage``: of each. Both are (height, width, ranks), with an even number of ranks."""
     order = np.argsort(-coverage, axis=2, kind="stable")
     ranks = np.take_along_axis(coverage, order, axis=2)
     bits = np.array([0, *(id_bits(name) for name in names)], np.uint32)

@@ -5,8 +5,8 @@ A sample is a place (x, y) and a colour c. The picture of n samples is the densi
 .. math:: L(x, y) = \frac{1}{n} \sum_i c_i K_i(x - x_i, y - y_i),
 
 by the pixels of a histogram, by Gaussians of one width or of a width that depends on the density at the sample, or by
-the nearest samples. Near the border of the region where there are samples, kernels reach beyond it and pictures become
-dark. Cures: samples in a margin around the picture, or a picture of the middle of the film only (``inset``).
+the nearest samples. Near the border of the region with samples, kernels reach beyond the region and pictures become
+dark. Remedies: samples in a margin around the picture, or a picture of the middle of the film only (``inset``).
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ FILM_COLUMNS = 5
 ESTIMATORS = ("histogram", "kernel", "variable", "nearest")
 #: Cells of the fine grid in a pixel, along an axis; reach of a Gaussian in its standard deviations.
 _FINE, _REACH = 2, 4.0
-#: Widths of the variable kernel: steps of this factor, and the widest and narrowest relative to ``bandwidth``.
+#: Widths of the variable kernel: the factor between two steps, and the largest factor from ``bandwidth``, up or down.
 _STEP, _WIDEST = math.sqrt(2.0), 8.0
-#: The widest margin around a picture in which there are samples, as a share of its side.
+#: The widest margin with samples around a picture, as a share of the picture's side.
 _MARGIN = 0.5
 #: Memory in bytes: of a cell of the fine grid and its transform, more where kernels reach further than the grid; and of
 #: a sample of ``nearest``.
@@ -66,8 +66,8 @@ class Development:
             raise OptionError(f"inset must be at least 0 and below 0.5, not {self.inset!r}")
 
     def picture(self, samples: Iterable[NDArray[Any]], count: float) -> NDArray[np.float32]:
-        """The picture, (height, width, 3). samples: parts (m, ``FILM_COLUMNS``); count: n, those without colour, which
-        may be missing, included."""
+        """The picture, (height, width, 3). samples: parts (m, ``FILM_COLUMNS``); count: n, including samples
+        without colour, which ``samples`` may omit."""
         makers: dict[str, Callable[[Iterable[NDArray[Any]]], Array]] = {
             "histogram": lambda parts: self._sums(parts, 1, 0)[0],
             "kernel": self._kernel,
@@ -80,8 +80,8 @@ class Development:
     # ------------------------------------------------------------------ estimators: sums per pixel
 
     def _sums(self, parts: Iterable[NDArray[Any]], fine: int, pad: int) -> tuple[Array, Array]:
-        """(sums of the colours, numbers of the samples) in cells: ``fine`` along an axis of a pixel, and ``pad`` rows
-        and columns around the picture."""
+        """(sums of colours, numbers of samples) in cells: ``fine`` cells per pixel along an axis, with ``pad`` rows and
+        columns around the picture."""
         width, height = (n * fine + 2 * pad for n in self.size)
         sums, counts = np.zeros((height * width, 3)), np.zeros(height * width)
         for part in parts:
@@ -100,7 +100,7 @@ class Development:
         return places
 
     def _pad(self, width: float) -> int:
-        """Cells around the picture that kernels reach it from, among those where there may be samples."""
+        """Number of cells around the picture from which kernels reach it and in which there may be samples."""
         most = (_MARGIN + self.inset) / (1.0 - 2.0 * self.inset) * max(self.size)
         pad = math.ceil(_FINE * min(_REACH * width, most))
         each = _CELL_BYTES if _REACH * width <= most else _WIDE_CELL_BYTES
@@ -120,8 +120,8 @@ class Development:
         return self._pixels(blurred(sums, self.bandwidth * _FINE, pad), pad)
 
     def _variable(self, parts: Iterable[NDArray[Any]]) -> Array:
-        """Widths h (f / g)^(-1/2) with the density f of luminance by a fixed kernel, and its geometric mean g over the
-        samples [Abramson 1982]."""
+        """Widths h (f / g)^(-1/2) with the density f of luminance by a fixed kernel of width 2 h, and its geometric
+        mean g over the samples [Abramson 1982]."""
         pad = self._pad(self.bandwidth * _WIDEST)
         sums, counts = self._sums(parts, _FINE, pad)
         density = blurred(sums @ np.array(LUMINANCE), 2.0 * self.bandwidth * _FINE, pad)
@@ -173,15 +173,15 @@ class Development:
 
 
 def blurred(values: Array, width: float, pad: int) -> Array:
-    """A grid convolved with a Gaussian of a standard deviation in cells. ``pad``: rows and columns at each side of the
-    inner part, of which alone the result is right if the Gaussian reaches further than the pad."""
+    """A grid convolved with a Gaussian of standard deviation ``width`` in cells. ``pad``: rows and columns at each side
+    of the inner part; if the Gaussian reaches no further, the result is right in the inner part only."""
     factors, shape = [], []
     for cells in values.shape[:2]:
         if pad >= _REACH * width:
             count = cells  # values carried around the ends do not reach the inner part
             factors.append(np.exp(-2.0 * (np.pi * width * np.fft.fftfreq(count)) ** 2))
         else:
-            count = 2 * cells  # a distance of cells of the grid is never one around the ends
+            count = 2 * cells  # so that no kernel reaches around the ends of the grid
             edges = (np.arange(-cells, cells + 1) - 0.5) / (width * math.sqrt(2.0))
             shares = 0.5 * np.diff([math.erf(edge) for edge in edges])
             factors.append(np.fft.fft(np.roll(shares, -cells)).real)

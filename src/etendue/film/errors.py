@@ -2,8 +2,8 @@
 
     relMSE = mean of (x - ref)^2 / (ref^2 + 0.01)
 
-over channels and over the pixels that are finite in both images. If a few bright paths dominate it, it is also given
-without the worst pixels (``trim``).
+over channels and over the pixels that are finite in both images. Where a few bright paths may dominate relMSE, it is
+also given without the worst pixels (``trim``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 def relative_squared_error(image: ArrayLike, reference: ArrayLike) -> Array:
     """``(x - ref)^2 / (ref^2 + 0.01)`` per pixel, mean over its channels: shape (height, width).
 
-    NaN where a pixel is not finite in either image. Raises :class:`OptionError` if the sizes differ.
+    NaN where a pixel is not finite in one of the images. Raises :class:`OptionError` if the sizes differ.
     """
     x, ref = _pair(image, reference)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -36,9 +36,9 @@ def relative_squared_error(image: ArrayLike, reference: ArrayLike) -> Array:
 def relative_mse(image: ArrayLike, reference: ArrayLike, trim: float = 0.0) -> float:
     """relMSE of ``image`` against ``reference``, both (height, width, channels) or (height, width).
 
-    Pixels that are not finite in either are left out, and of the rest the fraction ``trim`` with the largest error
-    (0.001: the worst 0.1 %). NaN if nothing remains. Raises :class:`OptionError` if the sizes differ or ``trim`` is
-    outside [0, 1).
+    Pixels that are not finite in one of them are left out, and of the rest the fraction ``trim`` with the largest
+    error (0.001: the worst 0.1 %). NaN if nothing remains. Raises :class:`OptionError` if the sizes differ or ``trim``
+    is outside [0, 1).
     """
     error = relative_squared_error(image, reference)
     return _trimmed_mean(error[np.isfinite(error)], trim)

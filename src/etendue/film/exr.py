@@ -3,7 +3,7 @@
 The layer ``image`` is the file's R, G, B, so that every viewer shows the picture; another layer ``name`` has channels
 ``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and positions, ``name.Z`` for a
 depth, ``name.Y`` for any other single channel). Metadata are string attributes ``etendue:key``: text unchanged,
-anything else as JSON; but those of a :mod:`.cryptomatte` have the names that compositors know.
+anything else as JSON; attributes of a :mod:`.cryptomatte` have the names that compositors know.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
 def write_layers(path: str | os.PathLike[str], result: Result) -> None:
     """Write each layer of ``result`` to its :func:`layer_path`, as the R, G, B (or Y) of that file, with the metadata.
 
-    The metadata ``layer`` names it. Errors as :func:`write_exr`.
+    The metadata ``layer`` is the layer's name. Errors as :func:`write_exr`.
     """
     for name, layer in result.layers.items():
         write_exr(layer_path(path, name), Result({"image": layer}, {**result.metadata, "layer": name}))
@@ -83,8 +83,8 @@ def layer_path(path: str | os.PathLike[str], layer: str) -> Path:
 def read_exr(path: str | os.PathLike[str]) -> Result:
     """Read a file of :func:`write_exr`, or any scan-line OpenEXR file, as layers (height, width, channels), float32.
 
-    Channels without a layer name make up ``image``. Raises :class:`SceneError` if the file is missing or no OpenEXR
-    file.
+    Channels without a layer name make up ``image``. Raises :class:`SceneError` if the file is missing or not
+    OpenEXR.
     """
     import OpenEXR
 
@@ -116,7 +116,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read a picture as linear RGB, (height, width, 3), float32: OpenEXR, or whatever Mitsuba reads (PNG, JPEG, HDR).
 
     Eight-bit files are taken as sRGB, a single channel is repeated, alpha is dropped. Raises :class:`SceneError` if
-    the file is missing or no picture.
+    the file is missing or not a picture.
     """
     _check_readable(path)
     if _is_exr(path):

@@ -8,16 +8,16 @@ which is what Mitsuba's film converges to: it divides by the filter weights of i
 the film (``sample_border`` off). There are these estimators of this integral:
 
 - Camera paths with the same offsets in all pixels: every path contributes to all pixels within the filter's radius, and
-  the sum is a convolution with weights that depend only on the offsets (:meth:`PixelFilter.spread`). Near the border it
-  is divided by the weights of the samples of the pass.
+  the sum is a convolution with weights that depend only on the offsets (:meth:`PixelFilter.spread`). Near the border
+  the sum is divided by the weights of the samples of the pass.
 - A path at an arbitrary film position contributes to all pixels within the radius (:meth:`PixelFilter.taps`), or to a
   cell of a grid that is convolved at the end of the pass (:meth:`PixelFilter.cells`).
 - Independent pixels, as denoisers need: a camera path samples its film position from ``|f|`` around its pixel
   [Ernst 2006] (:meth:`PixelFilter.camera`), a splat samples one of the pixels within the radius
   (:meth:`PixelFilter.splat`).
 
-All read the same table of ``f``, or weights derived from it. It is constant on bins, and the film's border is an edge
-of bins, so that the expectations are equal, except for the first estimator near the border. In the table ``f`` is
+All read the same table of ``f``, or weights derived from it. The table is constant on bins, and the film's border is an
+edge of bins, so that the expectations are equal, except for the first estimator near the border. In the table ``f`` is
 divided by its sum over all pixels, so that the weights of a sample sum to 1 and a constant picture stays constant; for
 tents, cubic splines and boxes this sum is 1, for Mitsuba's Gaussian it is 1 within 1.5 %.
 
@@ -208,8 +208,8 @@ class _Axis:
     def near(
         self, values: list[V], spread: Spread, sample: mi.UInt32, pixel: mi.UInt32, place: mi.UInt32, count: mi.UInt32
     ) -> list[V]:
-        """As :meth:`convolve`, of several layers that have ``count`` samples a pixel, and of their sample ``sample``
-        alone."""
+        """As :meth:`convolve`, for several layers with ``count`` samples a pixel, of which only number ``sample`` is
+        used."""
         kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
         last, size = dr.gather(mi.Int32, spread.last, sample), dr.opaque(mi.Int32, self.size)
         results: list[V] = [kind(0.0) for kind in kinds]
@@ -224,7 +224,7 @@ class _Axis:
         return results
 
     def table(self, spread: Spread) -> tuple[mi.Float, range]:
-        """(weights by sample and offset of a pixel from the sample's own one, row by row; the offsets)."""
+        """(weights, a row for each sample and a column for each offset from the sample's own pixel; the offsets)."""
         last, rows = np.array(spread.last), np.array([np.array(weights) for weights in spread.values]).T
         offsets = range(int(last.min()) - self.candidates + 1, int(last.max()) + 1)
         dense = np.zeros((len(last), len(offsets)), np.float32)
@@ -233,13 +233,13 @@ class _Axis:
         return on_device(mi.Float, dense.ravel()), offsets
 
     def by_border(self) -> NDArray[np.int64]:
-        """For each pixel of the axis one with as much film within the radius: itself, or that in the middle."""
+        """For each pixel of the axis a pixel with the same weights: itself near the border, else the middle pixel."""
         pixel, middle = np.arange(self.size), self.size // 2
         return np.where(np.minimum(pixel, self.size - 1 - pixel) > math.ceil(self.reach), middle, pixel)
 
     def reached(self, spread: Spread, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Sum of the filter over the samples within the radius that are on the film, for each number of a sample and
-        each of ``pixels`` of the axis, (samples, pixels); 1 away from the border."""
+        """Sum of the filter over the samples on the film within the radius, for each sample number and each of
+        ``pixels`` of the axis: (samples, pixels); 1 away from the border."""
         last = np.array(spread.last)
         sums = np.zeros((len(last), len(pixels)), np.float32)
         for index, values in enumerate(spread.values):
@@ -260,8 +260,8 @@ class PixelFilter:
     """Reconstruction filter of a ``width`` x ``height`` film.
 
     ``rfilter`` is a Mitsuba reconstruction filter (``film.rfilter()``). Film positions are continuous, in pixels,
-    with (0, 0) the corner of the first pixel (of the crop window, if the film has one). Built under a JIT variant;
-    all but :meth:`spread` and :meth:`cells` use gathers only and may be called inside symbolic loops.
+    with (0, 0) the corner of the first pixel (of the crop window, if the film has one). Built under a JIT variant. All
+    methods but ``spread``, ``spread_together`` and ``cells`` use gathers only and may be called inside symbolic loops.
     """
 
     def __init__(self, rfilter: mi.ReconstructionFilter, width: int, height: int) -> None:
@@ -319,8 +319,8 @@ class PixelFilter:
 
     def _inverse_reached(self, across: Spread, down: Spread) -> mi.Float:
         """1 over the mean filter weight of the samples that reach each pixel; 1 away from the border."""
-        # Pixels away from the border are alike, so that few rows and columns have to be multiplied. Not by BLAS,
-        # whose threads would wait beside those of Dr.Jit and take longer than all the rest.
+        # Pixels away from the border have equal weights, so that few rows and columns have to be multiplied. Not by
+        # BLAS, whose threads would compete with the threads of Dr.Jit and take longer than everything else.
         columns, column = np.unique(self._x.by_border(), return_inverse=True)
         rows, row = np.unique(self._y.by_border(), return_inverse=True)
         reached = np.einsum("si,sj->ij", self._y.reached(down, rows), self._x.reached(across, columns))
@@ -328,8 +328,8 @@ class PixelFilter:
         return copied_to_device(mi.Float, inverse[np.ix_(row, column)].ravel())
 
     def _by_neighbour(self, values: list[V], across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> list[V]:
-        """Sums over several samples a pixel, of all layers in one kernel: those of a pixel are added along the rows
-        first, one sum for each row that they reach."""
+        """Sums over several samples a pixel, of all layers in one kernel: the samples of a pixel are first added along
+        rows, with one sum for each row that they reach."""
         kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
         count, width, height = (dr.opaque(mi.UInt32, n) for n in (dr.width(across.last), self.width, self.height))
         pixel, (table, offsets) = dr.arange(mi.UInt32, self.width * self.height), self._y.table(down)

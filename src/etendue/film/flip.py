@@ -1,5 +1,5 @@
-"""HDR-FLIP [Andersson 2021]: how different two pictures look when flipped, over all exposures; by ``flip-evaluator``
-(extra ``flip``)."""
+"""HDR-FLIP [Andersson 2021]: how different two pictures look when a viewer alternates between them, over all exposures;
+by ``flip-evaluator`` (extra ``flip``)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ _MODULE = "flip_evaluator"
 
 
 def flip_is_installed() -> bool:
-    """Whether the library is there."""
+    """Whether the library is installed."""
     return find_spec(_MODULE) is not None
 
 
 def flip_error(image: ArrayLike, reference: ArrayLike) -> NDArray[np.float32]:
     """Error in [0, 1] of each pixel of ``image`` against ``reference``, both (height, width, 3) linear RGB.
 
-    For 67 pixels a degree, the distance of a usual desk; the largest over exposures that the reference decides. NaN
-    where a pixel is not finite in either picture, and there the picture counts as the reference for its neighbours.
+    The error is seen at 67 pixels per degree, a usual viewing distance, and is the largest over the exposures that the
+    reference determines. NaN where a pixel is not finite in one of the pictures; for the errors of its neighbours this
+    pixel counts as equal to the reference.
     Raises :class:`OptionError` if the sizes differ, :class:`BackendError` if the library is missing.
     """
     x, ref = (np.ascontiguousarray(a, dtype=np.float32) for a in (image, reference))

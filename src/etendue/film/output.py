@@ -70,7 +70,7 @@ def _new_part(target: Path) -> Path:
 
 
 def _sync(folder: Path) -> None:
-    """Write the entries of a folder to the disk. If the system cannot, the file is in place nevertheless."""
+    """Write the entries of a folder to the disk. If that fails, the file is in place nevertheless."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -26,11 +26,11 @@ class Technique:
 
     @property
     def edges(self) -> int:
-        """Number of edges of its paths."""
+        """Number of edges of the technique's paths."""
         return self.s + self.t - (2 if self.merged else 1)
 
     def layer(self, weighted: bool = True) -> str:
-        """Name of its layer."""
+        """Name of the technique's layer."""
         return f"{'m' if self.merged else 's'}{self.s}_t{self.t}{'' if weighted else _ALONE}"
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""The errors of this room."""
+"""The errors of file formats."""
 
 from __future__ import annotations
 

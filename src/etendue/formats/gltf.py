@@ -1,8 +1,8 @@
 """Meshes as glTF 2.0, with vertex colours in linear floats, two sets of texture coordinates and custom attributes.
 
 A file has one mesh of triangles with positions, normals of the faces and a material without shading
-(``KHR_materials_unlit``), so that a viewer shows the colours as they are. They are read by trimesh, but not written by
-it: trimesh rounds colours to bytes, supports one set of texture coordinates, and no material extensions.
+(``KHR_materials_unlit``), so that a viewer shows the colours unchanged. Files are read by trimesh, but not
+written: trimesh rounds colours to bytes, supports one set of texture coordinates, and no material extensions.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class GltfMesh:
     """A mesh for glTF.
 
     ``vertices``, ``normals``: (v, 3). ``triangles``: (t, 3), counterclockwise seen from the front. ``attributes``: of
-    vertices, (v, k) or (v,), by their names in glTF (``COLOR_0``, ``TEXCOORD_0``; of one's own with ``_`` before).
-    ``extras``: what JSON can say of the mesh.
+    vertices, (v, k) or (v,), by their names in glTF (``COLOR_0``, ``TEXCOORD_0``; custom names begin with ``_``).
+    ``extras``: JSON values about the mesh.
     """
 
     vertices: Array
@@ -56,7 +56,8 @@ class GltfMesh:
 def write_gltf(path: str | os.PathLike[str], mesh: GltfMesh, metadata: Mapping[str, Any] | None = None) -> None:
     """Write ``.glb``, binary, or ``.gltf``, text with the data in it. ``metadata``: values for JSON.
 
-    Raises :class:`FormatError` for more than 4 GB, :class:`etendue.core.OutputError` if it cannot be written.
+    Raises :class:`FormatError` for a ``.glb`` of more than 4 GB, :class:`etendue.core.OutputError` if the file cannot
+    be written.
     """
     arrays = {
         "POSITION": mesh.vertices,
@@ -98,7 +99,7 @@ def write_gltf(path: str | os.PathLike[str], mesh: GltfMesh, metadata: Mapping[s
 
 def read_texture_coordinates(path: str | os.PathLike[str], number: int = 1) -> tuple[Array, Index, Array | None]:
     """Vertices (v, 3) in the coordinates of the scene, triangles (t, 3) and set ``number`` of texture coordinates
-    (v, 2) of all meshes of a ``.glb`` or ``.gltf`` file; ``None`` in place of the latter if one has no such set.
+    (v, 2) of all meshes of a ``.glb`` or ``.gltf`` file; no texture coordinates (``None``) if a mesh lacks this set.
 
     Raises :class:`FormatError` for a file that cannot be read, :class:`etendue.core.BackendError` without trimesh.
     """
@@ -133,7 +134,7 @@ def read_texture_coordinates(path: str | os.PathLike[str], number: int = 1) -> t
 
 
 def _placed(scene: trimesh.Scene) -> list[tuple[str, str]]:
-    """Nodes and the triangle meshes that they place."""
+    """(node, name of the triangle mesh that it places)."""
     nodes = [(node, scene.graph[node][1]) for node in scene.graph.nodes_geometry]
     return [(node, geometry) for node, geometry in nodes if hasattr(scene.geometry[geometry], "faces")]
 
@@ -159,14 +160,14 @@ def _binary(content: Mapping[str, Any], data: bytes, path: str | os.PathLike[str
 
 
 def _joined(text: bytes, rest: bytes) -> bytes:
-    """A binary file of its JSON and the chunks after it."""
+    """A binary file from its JSON ``text`` and the chunks after that."""
     text += b" " * (-len(text) % 4)
     head = struct.pack("<III", _MAGIC, 2, 20 + len(text) + len(rest))
     return head + struct.pack("<II", len(text), _JSON) + text + rest
 
 
 def _parsed(file: bytes) -> tuple[dict[str, Any], bytes | None]:
-    """JSON of a file, and the chunks after it; ``None`` if it is text."""
+    """JSON of a file, and the chunks after the JSON; ``None`` for a text file."""
     if not file.startswith(b"glTF"):
         return json.loads(file), None
     length = struct.unpack_from("<I", file, 12)[0]

@@ -23,15 +23,16 @@ def write_mesh(
 ) -> None:
     """Write a file of meshio's format ``kind`` (``ply``, ``vtu``) atomically.
 
-    vertices: (v, 3). faces: (f, 4), a triangle repeating its last; in the file triangles come before quadrilaterals.
-    at_vertices, of_faces: arrays by name, of rows for vertices and for faces; one column becomes a list of numbers.
-    Raises :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if it cannot be written.
+    vertices: (v, 3). faces: (f, 4), a triangle repeats its last vertex; in the file triangles come before
+    quadrilaterals. at_vertices, of_faces: arrays by name, a row per vertex or face; a single column of ``of_faces``
+    becomes a list of numbers. Raises :class:`etendue.core.BackendError` without meshio,
+    :class:`etendue.core.OutputError` if the file cannot be written.
     """
     meshio = library("meshio", f"writing {path}")
     is_triangle = faces[:, 2] == faces[:, 3]
     groups = [("triangle", is_triangle, 3), ("quad", ~is_triangle, 4)]
     present = [(name, chosen, corners) for name, chosen, corners in groups if chosen.any()]
-    index = np.int32 if kind == "ply" else np.int64  # PLY has no longer ones
+    index = np.int32 if kind == "ply" else np.int64  # PLY has no 64-bit integers
     blocks = [(name, faces[chosen, :corners].astype(index)) for name, chosen, corners in present]
     flat = {n: v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for n, v in of_faces.items()}
     data = {name: [values[chosen] for _, chosen, _ in present] for name, values in flat.items()}

@@ -79,7 +79,7 @@ class _Target(io.FileIO):
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """All of ``data``, or nothing after a failure."""
+        """Write all of ``data``, or nothing after a failure."""
         rest = memoryview(data).cast("B")
         size = len(rest)
         try:
@@ -90,7 +90,7 @@ class _Target(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """As of any file, or nothing after a failure."""
+        """Truncate the file, or do nothing after a failure."""
         return super().truncate(size) if self.failure is None else size or 0
 
 
@@ -120,8 +120,8 @@ def read_netcdf(path: str | os.PathLike[str], what: str, needed: tuple[str, ...]
 
 
 def _storage(values: NDArray[Any]) -> dict[str, Any]:
-    """How an array is stored. At level 1, with bytes sorted, form factors take a third of their size and segments a
-    fifth; higher levels take several times as long and save little more."""
+    """How an array is stored. At compression level 1, with shuffled bytes, form factors take a third of their size and
+    segments a fifth; higher levels take several times as long and save little more."""
     if values.nbytes <= _CHUNK:
         return {}
     rows = max(1, _CHUNK * len(values) // values.nbytes)

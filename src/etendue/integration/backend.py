@@ -36,7 +36,7 @@ class Backend(Protocol):
 
     #: The best number of points to evaluate at once.
     batch: int
-    #: Limits on the parts of an axis and the cells of a grid, so that numbers within one still have enough digits.
+    #: Limits on the parts of an axis and the cells of a grid, so that positions within them still have enough digits.
     parts: int
     cells: int
 
@@ -61,7 +61,7 @@ class Backend(Protocol):
         ...
 
     def split(self, value: Numbers, limit: int) -> tuple[Whole, Numbers]:
-        """Integer part of a number in [0, limit], at most ``limit - 1``, and the rest."""
+        """Integer part of numbers in [0, limit], at most ``limit - 1``, and the remainder."""
         ...
 
     def table(self, values: Array) -> Numbers:
@@ -97,7 +97,8 @@ class Backend(Protocol):
         ...
 
     def histogram(self, index: Whole, weights: Sequence[Numbers], size: int) -> list[Array]:
-        """For each of ``weights`` the sums over equal ``index``: host arrays of ``size`` numbers."""
+        """For each of ``weights`` the sums over equal ``index``: ``size`` numbers, on the device not yet evaluated;
+        :meth:`host` reads them."""
         ...
 
     def moments(self, values: Numbers) -> tuple[float, float]:
@@ -116,7 +117,7 @@ class Backend(Protocol):
 class HostBackend:
     """NumPy, in double precision."""
 
-    batch = 1 << 16  # what fits a core's cache with a few temporaries
+    batch = 1 << 16  # fits into the cache of a core with a few temporaries
     parts = 1 << 40
     cells = 1 << 24
 
@@ -208,7 +209,7 @@ class HostBackend:
 
 
 class DeviceBackend:
-    """Dr.Jit under the current variant of Mitsuba: single precision, sums in double precision."""
+    """Dr.Jit under the current variant of Mitsuba: single precision, but means and variances in double precision."""
 
     batch = 1 << 22
     parts = 1 << 16
@@ -333,7 +334,7 @@ class DeviceBackend:
 def array_namespace(x: Any) -> Any:
     """The module whose ``exp``, ``sqrt``, ``sin``, ``minimum`` … take ``x``: ``numpy`` or ``drjit``.
 
-    With it one function serves the host and the device: ``lambda x: array_namespace(x[0]).exp(-x[0] * x[1])``.
+    With it, one function serves the host and the device: ``lambda x: array_namespace(x[0]).exp(-x[0] * x[1])``.
     """
     if isinstance(x, np.ndarray | float | int | np.generic):
         return np

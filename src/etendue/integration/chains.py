@@ -24,9 +24,9 @@ class ChainDiagnosis:
     Attributes
     ----------
     mean, standard_error: of the quantity; the error allows for the dependence of neighbours.
-    autocorrelation_time: integrated, in steps: the number of steps that is worth one independent number.
+    autocorrelation_time: integrated, in steps: the number of steps equivalent to one independent number.
     effective_samples: number of independent numbers with the same error of the mean.
-    r_hat: split R-hat [Gelman 1992; Vehtari 2021]; 1 if halves of chains agree; above about 1.01 they do not yet.
+    r_hat: split R-hat [Gelman 1992; Vehtari 2021]; 1 if halves of chains agree, above about 1.01 if they do not yet.
     """
 
     mean: float
@@ -37,8 +37,8 @@ class ChainDiagnosis:
 
 
 def autocorrelation(values: Array) -> Array:
-    """Autocorrelation at lags 0 … steps-1, averaged over the chains: (steps,). Around the mean of all chains, so that
-    chains stuck in different places count as correlated. Constant numbers give 1 at lag 0 and 0 else."""
+    """Autocorrelation at lags 0 … steps-1, averaged over the chains: (steps,). It is relative to the mean of all
+    chains, so that chains stuck in different places count as correlated. Constant numbers give 1 at lag 0, else 0."""
     v = _checked(values)
     steps = v.shape[1]
     centred = v - v.mean()
@@ -64,7 +64,7 @@ def autocorrelation_time(values: Array) -> float:
 
 
 def split_r_hat(values: Array) -> float:
-    """Split R-hat: each chain is halved; root of the variance over all against that within halves [Gelman 1992]."""
+    """Split R-hat of halved chains: root of the ratio of the total variance to that within halves [Gelman 1992]."""
     v = _checked(values)
     half = v.shape[1] // 2
     if half < 2:
@@ -87,8 +87,8 @@ def diagnose(values: Array) -> ChainDiagnosis:
 
 
 def burn_in(values: Array) -> int:
-    """Number of first steps to discard: it minimises the standard error of the mean of the rest, computed as for
-    independent numbers (the MSER rule [White 1997]); at most half of all."""
+    """Number of first steps to discard, at most half of all: it minimises the standard error of the mean of the other
+    steps, computed as for independent numbers (the MSER rule [White 1997])."""
     v = _checked(values).mean(axis=0)
     steps = len(v)
     left = np.arange(steps, 0, -1)

@@ -71,7 +71,7 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 def average(estimates: Sequence[Estimate]) -> Estimate:
     """Mean of independent estimates weighted by their samples: unbiased, for estimates with unreliable variances.
 
-    Its variance is the larger of that stated by the estimates and that between them.
+    Its variance is the larger of two: the variance stated by the estimates, and the variance between them.
     """
     if not estimates:
         raise IntegrationError("there are no estimates to combine")
@@ -112,7 +112,7 @@ class Work:
         return self.backend.clean(values if weight is None else values * weight)
 
     def batches(self, samples: int, multiple: int = 1) -> Iterator[int]:
-        """Batch sizes that add up to ``samples``."""
+        """Batch sizes that add up to ``samples``, all but the last multiples of ``multiple``."""
         size = max(self.backend.batch // multiple, 1) * multiple
         while samples > 0:
             yield min(size, samples)
@@ -151,7 +151,7 @@ class Integrator(ABC):
     batched: ClassVar[bool] = False
 
     def integrate(self, f: Integrand, samples: int, seed: int = 0, domain: Domain | None = None) -> Estimate:
-        """Integral of ``f`` over its domain, or over the part ``domain`` of it, from at most ``samples`` evaluations.
+        """Integral of ``f`` over its domain, or a part ``domain`` of it, from at most ``samples`` evaluations.
 
         The same ``seed`` gives the same estimate on one kind of device. Values that are not finite are counted,
         reported by a warning, and replaced by zero, so that the estimate is the integral over the region where ``f`` is
@@ -187,9 +187,9 @@ class Integrator(ABC):
 
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
         """Points for many integrals over one domain: ``(x, weight, size)``, ``size <= samples`` consecutive points for
-        each.
+        each integral.
 
-        The mean of ``f(x) * weight`` over each row estimates one of them, independently of the others.
+        The mean of ``f(x) * weight`` over the points of an integral estimates it, independently of the others.
         Raises :class:`IntegrationError` for a method that is not ``batched``.
         """
         raise IntegrationError(f"{type(self).__name__} adapts to the function, so it computes one integral at a time")

@@ -17,7 +17,7 @@ from etendue.core import is_whole
 
 from .errors import IntegrationError
 
-#: Which arrays a function takes; one that takes either adopts those of the function it is combined with.
+#: Which arrays a function takes. A function that takes ``"either"`` adopts those of the function it is combined with.
 Place = Literal["host", "device", "either"]
 _EVERYTHING = (-math.inf, math.inf)
 
@@ -261,7 +261,7 @@ class Integrand:
         return replace(self, domain=part)
 
     def fix(self, values: Mapping[int, float]) -> Integrand:
-        """The function of the other parameters, with those of ``values`` fixed: ``f.fix({2: 0.5})``."""
+        """The function of the other parameters, with the parameters in ``values`` fixed: ``f.fix({2: 0.5})``."""
         axes = _axes(values, self.dimension)
         free = [a for a in range(self.dimension) if a not in axes]
         if not free:
@@ -288,8 +288,9 @@ class Integrand:
         )
 
     def of(self, parameters: Sequence[int], domain: Domain) -> Integrand:
-        """The same function of some of the parameters of a larger ``domain``: parameter i of it is ``parameters[i]``
-        there. ``texture.of([0, 1], box) * lobe.of([2, 3], box)`` is a function of four parameters."""
+        """The same function of some of the parameters of a larger ``domain``: its parameter i is parameter
+        ``parameters[i]`` of the domain. ``texture.of([0, 1], box) * lobe.of([2, 3], box)`` is a function of four
+        parameters."""
         box = Box.of(domain)
         return self.compose(*(coordinate(axis, box) for axis in _axes(parameters, box.dimension)))
 

@@ -53,7 +53,7 @@ class UniformStep:
 
 @dataclass(frozen=True)
 class Independent:
-    """Uniform in the domain, independent of the state: large steps that leave any peak."""
+    """Uniform in the domain, independent of the state: a large step, which can leave any peak."""
 
     def numbers(self, dimension: int) -> int:
         """See :class:`Proposal`."""
@@ -115,7 +115,7 @@ class Chains:
     ----------
     domain: of the target.
     points: (d, chains, steps), repeats included.
-    target: (chains, steps), the target at them.
+    target: (chains, steps), the target at the points.
     acceptance: share of the proposals that were accepted.
     discarded: steps left out at the beginning.
     rejected: evaluations of the target that were not finite; taken as zero, so never accepted.
@@ -138,16 +138,16 @@ class Chains:
 
     @property
     def effective_samples(self) -> float:
-        """Of the worst coordinate."""
+        """Number of effective samples of the worst coordinate."""
         return min(d.effective_samples for d in self.diagnosis)
 
     @property
     def r_hat(self) -> float:
-        """Of the worst coordinate."""
+        """Split R-hat of the worst coordinate."""
         return max(d.r_hat for d in self.diagnosis)
 
     def expectation(self, g: Integrand) -> ChainDiagnosis:
-        """Mean of ``g`` under the normalised target, with its standard error and diagnosis. ``g`` is on the host."""
+        """Mean of ``g`` under the normalised target, with its standard error and diagnosis. ``g`` takes host arrays."""
         if g.dimension != self.domain.dimension or g.on == "device":
             raise IntegrationError(f"the mean is of a function of {self.domain.dimension} parameters on the host")
         x = self.points.reshape(len(self.points), -1)
@@ -213,7 +213,7 @@ class Metropolis:
         if values.min() < 0:
             raise IntegrationError("the target of a chain is negative somewhere: it is no density")
         tries = values.reshape(self.chains, _TRIES)
-        # A chain that finds no such point starts at that of another one.
+        # A chain that finds no point above zero starts at the point of another chain.
         total = tries.sum(axis=1)
         found = np.flatnonzero(total > 0)
         if not len(found):

@@ -1,7 +1,7 @@
 """Integrals over some parameters, as functions of the others.
 
-``L = L_e + integral(K * L, ...)`` is the rendering equation; substituted into itself n times it is a distribution ray
-tracer of n bounces, with any integrator at each [Leeson 2001, sec. 5.2].
+``L = L_e + integral(K * L, ...)`` is the rendering equation; substituted into itself n times, it becomes a distribution
+ray tracer of n bounces, with any integrator at each bounce [Leeson 2001, sec. 5.2].
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def integral(
     ``integrator``: :class:`MeanSample`, :class:`Stratified`, :class:`QuasiMonteCarlo` or :class:`Importance`, whose
     points do not depend on the function. Any other integrator is run point by point on the host, which is slow.
     Each evaluation uses new random numbers, so that an unbiased integrator of this function stays unbiased. Nested
-    integrals need different seeds, or their numbers would be the same. The integral has as many values at a point as
-    ``f``.
+    integrals, and the integrator of the outermost one, need different seeds: with equal seeds they use the same random
+    numbers. The integral has as many values at a point as ``f``.
     """
     free = [a for a in range(f.dimension) if a not in over]
     if not free or len(free) + len(set(over)) != f.dimension:

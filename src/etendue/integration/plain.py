@@ -12,7 +12,7 @@ from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work
 from .functions import Integrand
 
-#: Largest number of samples that fit a factor or test a density.
+#: Largest number of samples for fitting a factor or testing a density.
 _PILOT = 1 << 12
 
 
@@ -42,8 +42,8 @@ class MeanSample(Integrator):
 class HitOrMiss(Integrator):
     """``V (a + (b - a) N_H / N)``, from the share of points (x, y), uniform in the domain and [a, b], with y <= f(x).
 
-    The integrand must declare its range; [a, b] is that range and zero. A value beyond it would be clipped silently, so
-    it raises :class:`IntegrationError`.
+    The integrand must declare its range; [a, b] is that range, extended to zero. A value beyond it would be clipped
+    silently, so it raises :class:`IntegrationError`.
     """
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
@@ -115,7 +115,7 @@ class Importance(Integrator):
         for count in work.batches(min(samples, _PILOT)):
             p = self.density.pdf(backend, work.box.from_unit(backend.uniform(count, d)))
             seen.add(count, *backend.moments(backend.broadcast(p, [p]) * volume))
-        # If samples miss a rare region both means are too small: only an excess proves a fault.
+        # If samples miss a rare region, both means are too small: only a mean that is too large proves a fault.
         for found, integral in ((inverse, 1 / inverse.mean if inverse.mean else math.inf), (seen, seen.mean)):
             if not math.isfinite(found.mean) or found.mean - 1 > 8 * found.standard_error + 1e-3:
                 raise IntegrationError(

@@ -4,12 +4,12 @@ The state of a chain is a point of the unit cube, the random numbers that a path
 component. A :class:`PrimarySource` answers with the numbers of a *proposal*, without storing them:
 
 - a **large step** takes fresh numbers, independent of the state;
-- a **small step** moves each number of the state by a symmetric distance, around the end of the unit interval.
+- a **small step** moves each number of the state by a symmetric distance, modulo 1.
 
 Both leave the uniform distribution of the cube unchanged. Numbers without a place in the :class:`Layout`, and those of
-vertices beyond its last one, are fresh at every step. Together with the state they are a point of a larger cube, of
-which these coordinates always move independently; the chain stays exact although they are not kept, because the value
-of the target at the current state is kept [Andrieu 2009].
+vertices beyond its last one, are fresh at every step. State and fresh numbers together are a point of a larger cube, in
+which the fresh coordinates always move independently. The chain stays exact although these are not stored, because the
+value of the target at the current state is stored [Andrieu 2009].
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import drjit as dr
 
 from etendue.core import SampleSource
 
-#: The largest distance of a small step over the smallest [Kelemen 2002, sec. 4].
+#: Ratio of the largest distance of a small step to the smallest [Kelemen 2002, sec. 4].
 STEP_RATIO = 64.0
 #: The largest number below 1 in single precision.
 _BELOW_ONE = 1.0 - 2.0**-24
@@ -42,12 +42,12 @@ class Slot:
 class _Place:
     slot: Slot
     index: int  #: of the number in its slot
-    row: int  #: of the number of the first vertex
+    row: int  #: row of this number of the first vertex; later vertices follow
     vertices: int
 
 
 class Layout:
-    """Rows of the state of a chain, one a number of a sub-path.
+    """Rows of the state of a chain, one for each number of a sub-path.
 
     Parameters
     ----------
@@ -66,17 +66,17 @@ class Layout:
                     self.size += count
 
     def find(self, at_end: bool, component: int) -> _Place | None:
-        """The place of a number, ``None`` if it has none."""
+        """The place of a number, or ``None``."""
         return self._places.get((at_end, component))
 
     def firsts(self) -> list[tuple[bool, _Place]]:
-        """(whether it is of vertex 0, place) of the first number of each slot."""
+        """(whether the slot belongs to vertex 0, place) of the first number of each slot."""
         return [(end, place) for (end, _), place in self._places.items() if place.index == 0]
 
 
 def moved(x: dr.ArrayBase, u: dr.ArrayBase, size: dr.ArrayBase | float) -> dr.ArrayBase:
-    """``x`` moved by a distance between ``size / STEP_RATIO`` and ``size``, whose logarithm is uniform, in either
-    direction [Kelemen 2002, sec. 4]; around the end of the unit interval. ``u``: uniform in [0, 1)."""
+    """``x`` moved in either direction, modulo 1, by a distance between ``size / STEP_RATIO`` and ``size`` whose
+    logarithm is uniform [Kelemen 2002, sec. 4]. ``u``: uniform in [0, 1)."""
     v = 2.0 * u - 1.0
     y = x + dr.copysign(size * dr.exp(-math.log(STEP_RATIO) * dr.abs(v)), v)
     return dr.minimum(y - dr.floor(y), _BELOW_ONE)
@@ -86,8 +86,8 @@ def moved(x: dr.ArrayBase, u: dr.ArrayBase, size: dr.ArrayBase | float) -> dr.Ar
 class Move:
     """A step of all chains.
 
-    ``fresh``: the fresh numbers of the chains with given numbers; ``size``: the largest distance of a small step, an
-    opaque scalar; ``None``: a large step.
+    ``fresh``: returns the source of fresh numbers for chains given by their numbers; ``size``: the largest distance of
+    a small step, an opaque scalar; ``None``: a large step.
     """
 
     fresh: Callable[[dr.ArrayBase], SampleSource]
@@ -107,10 +107,10 @@ class Move:
         at: dr.ArrayBase | None = None,
     ) -> dr.ArrayBase:
         """The state of all chains after the step: the proposal where it is ``accepted``, everywhere if ``None``.
-        ``chain``: the numbers by which ``fresh`` knows the chains; those of the chains ``at`` alone if these are given,
-        in a large step. The given state is not changed."""
+        ``chain``: the numbers of the chains for ``fresh``. ``at`` restricts a large step to the chains with these
+        indices in the state; ``chain`` then has their numbers only. The given state is not changed."""
         result = type(state)(state)
-        # Opaque where it changes: it would be compiled into the kernels.
+        # Opaque if it varies between calls; otherwise it would be compiled into the kernels.
         count = chains if at is None else dr.opaque(type(chain), dr.width(chain))
         for end, place in layout.firsts():
             lane = dr.arange(type(chain), place.vertices * dr.width(chain))
@@ -127,15 +127,15 @@ class Move:
 
 
 class PrimarySource:
-    """A :class:`SampleSource` with the numbers of a proposal, a function of its arguments only.
+    """A :class:`SampleSource` of the numbers of a proposal, which depend on its arguments only.
 
     Parameters
     ----------
     layout: the rows of the state.
     fresh: fresh numbers for the lanes.
-    chain: number of the chain of each lane; ``chains``: of all.
+    chain: index of the chain of each lane; ``chains``: number of all chains.
     state: row by row, ``chains`` numbers each.
-    size: of a small step; ``None``: a large step, for which the state is not read.
+    size: largest distance of a small step; ``None``: a large step, for which the state is not read.
     """
 
     def __init__(

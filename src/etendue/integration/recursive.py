@@ -1,8 +1,8 @@
 """Recursive stratified sampling: MISER with seven changes [Press 1990; Leeson 2001, sec. 5.6].
 
-A region is explored with some of its samples, divided along one dimension, and each part gets samples according to the
-variation of the function in it. All regions of a level are processed at once, so that the integrand is evaluated in few
-large batches.
+A region is explored with some of its samples and divided along one dimension; each part gets samples according to the
+variation of the function in it. All regions of a level are processed at once, so that the integrand is evaluated in a
+few large batches.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from .regions import Regions
 #: Real or whole numbers of the host.
 Array = NDArray[Any]
 Metric = Literal["range", "maximum", "variance"]
-#: Smallest number of exploration bins that are combined to parts like bins of VEGAS.
+#: Smallest number of exploration bins from which ``"vegas"`` borders are found.
 _BINS = 8
 _METRICS = ("range", "maximum", "variance")
 
 
 @dataclass
 class _Level:
-    """Regions of one depth. ``low``, ``side``: (R, d) in the unit cube; ``samples``: (R,); ``parent``: index of each
-    one's parent in the level above; ``explored``: (R, 3) value, variance and count of the exploration, NaN where there
-    was none."""
+    """Regions of one depth. ``low``, ``side``: (R, d) in the unit cube; ``samples``: (R,); ``parent``: (R,) index in
+    the level above; ``explored``: (R, 3) value, variance and count of the exploration, NaN without exploration;
+    ``value``, ``variance``: (R,) of the integral."""
 
     low: Array
     side: Array
@@ -60,13 +60,12 @@ class RecursiveStratified(Integrator):
     Parameters
     ----------
     metric: the measure of variation within a bin: ``"range"`` (max - min)^2, ``"maximum"`` max^2 of the absolute
-    values,
-        ``"variance"`` mean square minus squared mean. The first two grow with the count, but compare bins of equal
-        counts; the third is poor at low counts.
+        values, ``"variance"`` mean square minus squared mean. The first two grow with the count, but compare bins of
+        equal counts; the third is poor at low counts.
     divisions: parts of a division, n.
     weights: of the dimensions; a dimension with a larger weight is divided more often, with zero never.
     initial_depth: levels that are divided without exploration, along dimensions in turn by their weights.
-    dither: borders of equal parts are moved randomly by up to this share of a part.
+    dither: borders of equal parts are moved randomly by up to half this share of a part, to either side.
     borders: ``"equal"`` divides into equal parts, ``"vegas"`` into parts that share the metric equally.
     exploration: share of a region's samples that explores it.
     reuse: whether the estimate includes the exploration, by inverse variances; this helps with few samples, but is
@@ -75,8 +74,8 @@ class RecursiveStratified(Integrator):
     minimum: regions with fewer samples are not divided; by default 4 n d.
     depth: largest number of levels.
 
-    If the integrand has a ``cost``, a part's samples are also divided by the root of its mean cost. ``details``:
-    ``regions``, ``depth``, and ``cost``, the summed cost of all evaluations, if it has one.
+    If the integrand has a ``cost``, the samples of a part are also divided by the root of its mean cost. ``details``:
+    ``regions``, ``depth``, and, for an integrand with a cost, ``cost``, the sum over all evaluations.
     """
 
     def __init__(
@@ -111,7 +110,7 @@ class RecursiveStratified(Integrator):
         self.exponent, self.minimum, self.depth = exponent, minimum, depth
 
     def gains(self, metrics: Array, after: Array, means: Callable[[], Array]) -> Array:
-        """What a division along each dimension is worth, (d, regions) above zero: the share of the variation that it
+        """The gain of a division along each dimension, (d, regions) above zero: the share of the variation that it
         removes. The dimension with the largest product of weight and gain is divided.
 
         ``metrics``, and ``means`` if it is called: the metric and the mean of the function in each part, (d, regions,
@@ -209,7 +208,7 @@ class _Run:
         """Finish the leaves of a level, explore and divide the other regions; returns their parts."""
         n, o = self.o.divisions, self.o
         blind = depth < o.initial_depth
-        # A division without exploration needs two samples in each part, one with exploration needs more.
+        # A division without exploration needs two samples in each part, a division with exploration needs more.
         enough = 2 * n if blind else max(self.minimum, 4 * n)
         inner = (level.samples >= enough) & (depth < o.depth)
         if blind and not inner.all():
@@ -257,7 +256,7 @@ class _Run:
         borders = np.tile(np.linspace(0.0, 1.0, parts + 1), (count, 1))
         if dither:
             random = np.asarray(self.work.backend.host(self.work.backend.uniform(count * (parts - 1), 1)[0]))
-            # Half a dither to either side: two borders stay apart by at least 1 - dither of a part.
+            # By half the dither to either side, so that the distance of borders is at least 1 - dither parts.
             borders[:, 1:-1] += (random.reshape(count, parts - 1) - 0.5) * dither / parts
         return borders
 
@@ -349,7 +348,7 @@ class _Run:
         return np.asarray(share + 2)
 
     def collect(self, levels: list[_Level]) -> None:
-        """Add the parts of each region, from the deepest level up, with its exploration if it is reused."""
+        """Add the parts of each region, from the deepest level up, and its exploration if explorations are reused."""
         for above, level in zip(levels[-2::-1], levels[:0:-1], strict=True):
             size = len(above.samples)
             value = np.bincount(level.parent, level.value, size)
@@ -366,8 +365,8 @@ class _Run:
         seen, seen_variance, count = above.explored.T
         use = inner & np.isfinite(seen)
         rest = np.maximum(above.samples - count, 1)
-        # A few uniform samples cannot be more accurate than many stratified ones; if they seem to be, they missed a
-        # part of the function.
+        # A few uniform samples cannot be more accurate than many stratified ones; if they seem so, they missed a part
+        # of the function.
         bound = np.maximum(seen_variance, variance * rest / np.maximum(count, 1))
         weight = np.where(use & (bound > 0), variance / np.where(bound + variance > 0, bound + variance, 1.0), 0.0)
         weight = np.where(use, weight, 0.0)

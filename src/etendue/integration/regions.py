@@ -41,10 +41,10 @@ class Regions:
         return np.asarray(self.side.prod(axis=1))
 
     def tables(self) -> list[Array]:
-        """The tables of :meth:`look_up`: probabilities, those of all before, 1 / density, corners, edges."""
+        """The tables of :meth:`look_up`: probabilities, sums of those before, 1 / density, corners, edges."""
         p = self.shares
         empty = np.arange(self.bins) >= self._count
-        reached = np.where(empty, 2.0, np.cumsum(p) - p)  # empty ones are never selected
+        reached = np.where(empty, 2.0, np.cumsum(p) - p)  # empty boxes are never selected
         return [p, reached, self.volume / np.where(empty, 1.0, p), *self.low.T, *self.side.T]
 
     def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:

@@ -17,7 +17,7 @@ from .errors import IntegrationError
 from .estimate import Work
 from .functions import Box, Integrand
 
-#: Points of the first batch, from which a bound that is not given is found, and of later ones at least.
+#: Points of the first batch, which gives the first bound if none is given; least number of points of later batches.
 _PILOT = 1 << 12
 
 
@@ -31,7 +31,7 @@ class Accepted:
     points: (d, n).
     acceptance: share of the proposals that were accepted.
     tried: number of proposals.
-    bound: c, the upper bound of target over density that was used.
+    bound: c, the upper bound of the ratio of target to density that was used.
     rejected: evaluations of the target that were not finite; taken as zero, so never accepted.
     """
 
@@ -52,10 +52,10 @@ class Rejection:
     Parameters
     ----------
     density: h, from which points are proposed, by default uniform. It must be positive where the target is.
-    bound: c, an upper bound of the target over ``density``. ``None`` takes it from the target's range if the density is
-        uniform, else finds it: it is the largest ratio so far, and when it grows, the points accepted before are
-        judged again by their own random numbers, so that all have the same bound. If a narrow peak is never hit, the
-        points are distributed as the target cut off at ``bound``.
+    bound: c, an upper bound of the ratio of target to ``density``. ``None`` takes it from the target's range if the
+        density is uniform. Otherwise it is the largest ratio so far; when it grows, the points accepted before are
+        tested again with their own random numbers, so that all points have the same bound. If a narrow peak is never
+        hit, the points are distributed as the target cut off at ``bound``.
     tries: proposals per wanted point, on average, after which sampling is given up.
     """
 
@@ -87,7 +87,7 @@ class Rejection:
                     f"{len(u)} of {tried} points were accepted with the bound {bound:g}, {samples} are wanted: propose "
                     "from a density more like the target, or narrow the domain"
                 )
-            # As many as will do by the acceptance so far.
+            # As many proposals as needed at the acceptance so far.
             wanted = (samples - len(u)) * max(tried, 1) / max(len(u), 1)
             count = int(min(max(1.1 * wanted, _PILOT), work.backend.batch, self.tries * samples))
             new_x, new_ratio, new_u = self._propose(work, count)
@@ -109,7 +109,7 @@ class Rejection:
         return Accepted(work.box, x[:, :samples], samples / needed, needed, bound, rejected)
 
     def _given(self, work: Work) -> tuple[bool, float]:
-        """Whether the bound is known, and the bound; 0 if it has to be found."""
+        """Whether the bound is known, and the bound; 0 if it is not known."""
         if self.bound is not None:
             return True, float(self.bound)
         greatest = work.f.range[1]

@@ -16,8 +16,7 @@ from .estimate import Estimate, Integrator, Moments, Work
 
 
 class Stratified(Integrator):
-    """``V / S^d`` times the sum over S^d equal strata of the mean of f in each, S per axis, with equal numbers of
-    samples.
+    """``V / S^d`` times the sum of the means of f in S^d equal strata, S per axis, with equal numbers of samples.
 
     ``strata`` is S; by default as many as allow two samples in each. Raises :class:`IntegrationError` for fewer than
     2^(d+1) samples (two strata per axis, two samples in each), or too few for the given ``strata``.
@@ -64,8 +63,8 @@ class Stratified(Integrator):
 
 
 def stratified_points(work: Work, count: int, parts: list[int], first: int, size: int) -> list[Numbers]:
-    """``count`` points of the unit cube, ``size`` of them at random in each stratum from number ``first`` on, axis i
-    divided into ``parts[i]``; the first axis changes fastest."""
+    """``count`` points of the unit cube, ``size`` at random in each stratum, from stratum ``first`` on. Axis i is
+    divided into ``parts[i]`` strata; the first axis changes fastest."""
     backend = work.backend
     u = list(backend.uniform(count, work.dimension))
     left = None
@@ -81,7 +80,7 @@ def stratified_points(work: Work, count: int, parts: list[int], first: int, size
 
 
 class PointSequence(Protocol):
-    """The required interface of points: a point set of ``etendue.points``, or another with these methods."""
+    """The interface of points: of the point sets of ``etendue.points``, and of others with these methods."""
 
     dimension: int
 
@@ -103,7 +102,7 @@ class QuasiMonteCarlo(Integrator):
     ----------
     points: a point set, or a function from the number of dimensions to one; by default :class:`Sobol` with Owen's
         scrambling. It may have more dimensions than the integrand.
-    replicates: randomisations that share the samples; fewer have a smaller error, more estimate it better.
+    replicates: randomisations that share the samples; fewer give a smaller error, more a better estimate of the error.
     """
 
     batched = True
@@ -163,6 +162,6 @@ class QuasiMonteCarlo(Integrator):
 
     @staticmethod
     def block(work: Work, points: PointSequence, first: int, count: int) -> list[Numbers]:
-        """``count`` points from number ``first`` on."""
+        """``count`` points from index ``first`` on."""
         index = work.backend.index(count) + work.backend.opaque(first)
         return [points.coordinate(index, a) for a in range(work.dimension)]

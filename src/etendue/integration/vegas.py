@@ -34,23 +34,23 @@ class Vegas(Integrator):
     groups: parameters that share a factor of the density, ``[[0], [1, 2], [3, 4, 5]]``; parameters in no group are
         uniform. Groups of one and two have bins with movable borders, larger ones a grid of cells. By default each
         parameter is a group.
-    mode: ``"importance"`` moves borders until all bins contribute equally; ``"stratified"`` until all have the same
-        deviation, and puts equal numbers of samples in each.
-    iterations: how often the density is rebuilt; all have equal numbers of samples.
+    mode: ``"importance"`` moves borders until all bins contribute equally; ``"stratified"`` moves them until all bins
+        have the same deviation, and puts equal numbers of samples in each.
+    iterations: how often the density is rebuilt; all iterations have equal numbers of samples.
     warm_up: number of first iterations that only train the density and are left out of the estimate.
     bins: on each axis of a factor; by default from the number of samples.
     strata: strata per axis of the adaptive parameters, in the uniform numbers that the density warps; 1 selects bins at
-        random, ``None`` takes as many as allow two samples in each.
+        random, ``None`` takes as many strata as allow two samples in each.
     smoothing: whether neighbouring bins are mixed by linear interpolation.
     damping: exponent of ``((1-d)/ln(1/d))^alpha``, which replaces the shares d of bins; ``None`` for none.
     inertia: r of ``(1-r) old + r new`` for cells of grids.
-    stabilise: iterations after which smoothing, damping and inertia are switched off; they help with few samples, but
-        slow down convergence with many. From then on borders adapt to contributions, not to their squares.
+    stabilise: number of iterations after which smoothing, damping and inertia are switched off; they help with few
+        samples, but slow down convergence with many. From then on borders adapt to contributions, not to their squares.
     density: the initial density, such as ``details["density"]`` of an earlier estimate.
 
     ``details``: ``iterations`` (an :class:`Estimate` each), ``density`` (:class:`ProductDensity`, the last),
     ``chi2`` over ``degrees`` of freedom among the iterations that count. Few samples in an iteration bias the
-    combination slightly. If chi2 says that iterations disagree, their variances are unreliable: they are then averaged
+    combination slightly. If chi2 shows that iterations disagree, their variances are unreliable: they are then averaged
     with equal weights, with a warning.
     """
 
@@ -218,7 +218,7 @@ class Vegas(Integrator):
 
     @staticmethod
     def _deposit(work: Work, sums: list[Array], found: list[list[Any]]) -> None:
-        """Add the bin sums of a batch. Called after the batch is evaluated, so that one kernel computes both."""
+        """Add the bin sums of a batch. Called after the values are evaluated, so that one kernel computes both."""
         for total, parts in zip(sums, found, strict=True):
             for row, part in zip(total, parts, strict=True):
                 row += work.backend.host(part)

@@ -47,7 +47,7 @@ class HierarchyRequest(RadiosityRequest):
 
     #: Of :class:`etendue.radiosity.HierarchicalMultipathSettings`.
     hierarchy: Mapping[str, Any] = field(default_factory=dict)
-    #: With workers: each has some of the boxes, with their lines; otherwise each makes whole passes.
+    #: With workers: each worker has some of the boxes, with their lines; otherwise each makes whole passes.
     divide: bool = False
 
     work: ClassVar[str] = "radiosity-hierarchy"
@@ -55,7 +55,7 @@ class HierarchyRequest(RadiosityRequest):
 
     @property
     def settings(self) -> HierarchicalMultipathSettings:
-        """Of the method. Raises :class:`OptionError` for unknown ones, and values out of range."""
+        """Settings of the method. Raises :class:`OptionError` for unknown names, and for values out of range."""
         given = dict(self.hierarchy) if self.shot else {"shot": 0} | dict(self.hierarchy)
         return HierarchicalMultipathSettings.from_mapping(given, owner="hierarchical multipath")
 
@@ -70,7 +70,7 @@ class HierarchyRequest(RadiosityRequest):
 
     @property
     def stores_lines(self) -> bool:
-        """See :class:`LinesRequest`: only those of a pass."""
+        """See :class:`LinesRequest`: only the lines of a pass are stored."""
         return False
 
     def _check_outputs(self) -> None:
@@ -108,7 +108,8 @@ class HierarchyRequest(RadiosityRequest):
         return remaining(saved, f"{bundles}, {seconds} or {error}")
 
     def load_parts(self, tell: Callable[[str], object]) -> tuple[Problem | None, Patches | None, Part]:
-        """The scene, if it is one; patches in one mesh, ``None`` where copies have none; and the parts."""
+        """The scene, ``None`` if the source is none; patches in one mesh, ``None`` for instances and given parts; and
+        the root of the parts."""
         if isinstance(self.source, Part):
             return None, None, self.source
         problem = self.problem(tell)
@@ -125,8 +126,9 @@ class HierarchyRequest(RadiosityRequest):
 
 @dataclass
 class HierarchyResult(InNotebooks):
-    """A solution by hierarchical multipath. ``parts``: of every copy. ``patches`` and ``solution`` in one mesh, and the
-    standard error of its irradiance; ``None`` for a scene with copies, unless files of it were asked for."""
+    """A solution by hierarchical multipath. ``parts``: the solution of every copy. ``patches``, ``solution`` and the
+    standard error of its irradiance are those of one mesh; ``None`` for a scene with copies if no files were requested.
+    """
 
     parts: HierarchicalSolution
     patches: Patches | None
@@ -138,7 +140,7 @@ class HierarchyResult(InNotebooks):
     elapsed: float
     picture: Result | None = None
     lightmap: Lightmap | None = None
-    #: Of boxes on workers: what was sent to each, and how often.
+    #: For boxes on workers: the messages and bytes sent to each worker.
     correspondence: Correspondence | None = None
 
 

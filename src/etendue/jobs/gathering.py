@@ -1,4 +1,4 @@
-"""Pictures of a solution as a camera sees it: the radiosities themselves, or gathered from them at what is in view.
+"""Pictures of a solution from a camera: the radiosities of the visible surfaces, or a final gather at these surfaces.
 
 The final gather is a path of :mod:`etendue.methods` that ends in a solution of :mod:`etendue.radiosity`.
 """
@@ -48,8 +48,8 @@ def picture(
 
     Without ``gather`` the picture shows the radiosity B of the visible surfaces as the radiance B / pi, by ``samples``
     rays per pixel. B consists of the emission and the reflectance of the patch and of the irradiance, which is
-    interpolated over edges of at most ``angle`` degrees; with ``smooth=False`` it is constant on each patch. Of the
-    scene only the shapes are used.
+    interpolated over edges of at most ``angle`` degrees; with ``smooth=False`` it is constant on each patch. Only the
+    shapes of the scene are used.
 
     With ``gather`` paths per pixel [Reichert 1992], the materials and lights of the scene are used at the first
     surface that is not specular, which the camera may see through mirrors. Direct light is sampled there by next event
@@ -74,7 +74,7 @@ def picture(
         raise OptionError("a loaded scene has its sensor and size: give these to etendue.scene.load")
     problem = scene if isinstance(scene, Problem) else load(scene, size=size, sensor=sensor, check=False)
     if gather or problem.scene.emitters():
-        check(problem.scene, problem.sensor)  # without gathering, a scene may do without lights
+        check(problem.scene, problem.sensor)  # without gathering, a scene needs no lights
     surfaces = PatchSurfaces(solution.patches)
     values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle, emission=gather == 0)
     method = _Gathered(surfaces, values) if gather else _Seen(surfaces, values, solution.patches.sky)
@@ -140,9 +140,9 @@ class _Seen(ImageMethod):
 class _EndedPath(CameraPath):
     """State of a camera path that ends at the second surface that is not specular."""
 
-    scattered: mi.Bool  #: whether it has scattered at the first
-    reached: mi.Bool  #: whether it has reached the second
-    end: mi.Point3f  #: position on the second
+    scattered: mi.Bool  #: whether it has scattered at the first such surface
+    reached: mi.Bool  #: whether it has reached the second one
+    end: mi.Point3f  #: position on the second one
     normal: mi.Normal3f  #: normal there, on the side of the path
     at_end: mi.Color3f  #: throughput up to there
 
@@ -159,8 +159,8 @@ class _Gathered(ImageMethod):
         self._surfaces, self._reflected = surfaces, reflected
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, mi.TensorXf], dict[str, float]]:
-        """See :class:`ImageMethod`. The solution is evaluated when all paths have ended, since that traces rays in
-        another scene."""
+        """See :class:`ImageMethod`. The solution is evaluated when all paths have ended, since its evaluation traces
+        rays in another scene."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)

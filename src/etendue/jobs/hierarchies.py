@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from .wording import Wording
 
-#: What makes an object; any other name is an array of the mesh file.
+#: Kinds of objects; any other name is that of an array of the mesh file.
 GROUPINGS = ("components", "shapes", "labels")
 #: Options that need ``hierarchy``.
 HIERARCHY_OPTIONS = ("walls", "engine", "point_set", "main_share")
@@ -26,9 +26,9 @@ HIERARCHY_OPTIONS = ("walls", "engine", "point_set", "main_share")
 class HierarchyOptions:
     """A part of :class:`FormFactorRequest`."""
 
-    #: Cast lines in a hierarchy of spheres: what makes objects, see :func:`etendue.radiosity.find_objects`, or ``True``
-    #: for shapes of scenes and components of other patches. Any other name is that of an array of the mesh file, with
-    #: the number of an object for each face, negative for walls.
+    #: Cast lines in a hierarchy of spheres: the kind of objects, see :func:`etendue.radiosity.find_objects`, or
+    #: ``True`` for shapes of scenes and components of other patches. Any other name is that of an array of the mesh
+    #: file, with the number of an object for each face, negative for walls.
     hierarchy: Any = None
     walls: tuple[str, ...] | None = None
     engine: str | None = None
@@ -53,7 +53,7 @@ class HierarchyOptions:
         return objects_by(patches, None if self.hierarchy is True else self.hierarchy, self.walls)
 
     def _check_hierarchy(self, wording: Wording, is_mesh: bool) -> None:
-        """Raise :class:`OptionError` for options that do not fit."""
+        """Raise :class:`OptionError` for options that do not fit, and convert ``hierarchy`` to plain values."""
         if self.hierarchy is False:
             object.__setattr__(self, "hierarchy", None)
         if self.hierarchy is None:
@@ -71,8 +71,8 @@ class HierarchyOptions:
 
 def objects_by(patches: Patches, by: Any = None, walls: Sequence[str | int] | None = None) -> Objects:
     """Objects of patches, see :func:`etendue.radiosity.find_objects`: by one of :data:`GROUPINGS`, by an array, or by
-    the name of an array with which the patches were read, which says itself what walls are; by default the shapes of
-    scenes, else connected surfaces."""
+    the name of an array with which the patches were read, which also marks the walls; by default the shapes of scenes,
+    else connected surfaces."""
     if by is None:
         by = "components" if patches.shapes is None else "shapes"
     elif isinstance(by, str) and by not in GROUPINGS:
@@ -81,7 +81,8 @@ def objects_by(patches: Patches, by: Any = None, walls: Sequence[str | int] | No
 
 
 def check_array(name: str, is_mesh: bool) -> None:
-    """Raise :class:`OptionError` for what can be neither one of :data:`GROUPINGS` nor an array of a file."""
+    """Raise :class:`OptionError` for a name outside :data:`GROUPINGS` if there is no mesh file that may have such an
+    array."""
     if not is_mesh:
         raise OptionError(
             f"objects are found by {', '.join(GROUPINGS)}, or by an array of a mesh file, not by '{name}'"

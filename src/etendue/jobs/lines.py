@@ -58,7 +58,7 @@ class LinesTask:
     lines: float = 0.0
     shot: bool = True
     local_rays: bool = True
-    #: Where lines are cast in a hierarchy: its objects, and further options of :class:`HierarchicalCastingSettings`.
+    #: For lines in a hierarchy: its objects, and further options of :class:`HierarchicalCastingSettings`.
     objects: Objects | None = None
     hierarchy: Mapping[str, Any] = field(default_factory=dict)
     #: Whether an error ends this run, or the run that it resumes: lines are then cast as replicates.
@@ -138,7 +138,7 @@ class LinesJob:
         return (len(record) - self._rows_in_files) * rows.itemsize * rows.shape[1] > self._room
 
     def is_full(self, run: RunResult) -> bool:
-        """Whether memory or disk ended the run, not the budget."""
+        """Whether full memory or a full disk, not the budget, ended the run."""
         return self.task.budget.samples is None and run.stopped_by == "samples"
 
     def why_full(self, bundles: int) -> str:
@@ -148,7 +148,7 @@ class LinesJob:
         return f"memory holds no more than these {bundles} bundles of lines: free some, or make patches larger"
 
     def _casting(self, settings: Any = None) -> LineCasting:
-        """That of the task, with the settings of a checkpoint if there are any."""
+        """The line casting of the task, with the settings of a checkpoint if there is one."""
         task = self.task
         goal: Any = task.goal if task.is_watched or task.budget.error is not None else None
         if task.objects is not None:
@@ -182,7 +182,7 @@ class LinesJob:
                 f"{most} bundles of lines through {len(casting.patches)} patches do not fit {place}, {before + room} "
                 f"do: ask for fewer ({self.task.bundles_option}), or make patches larger"
             )
-        # A further pass casts what the last one has left out, even if no bundle of its own is within the limit.
+        # One more pass casts bundles that the last pass has left out, even if its own are all beyond the limit.
         whole = casting.samples_per_iteration * (passes + 1) if most > before else most
         return most, Budget(budget.seconds, max(most, whole), None, budget.error)
 
@@ -191,7 +191,7 @@ class LinesJob:
 
 
 def patch_recipe(problem: PatchProblem, method: LineCasting | MultipathPasses) -> Recipe:
-    """Of a method that works on patches."""
+    """The recipe of a method that works on patches."""
     arrays = problem.patches.arrays()
     make: str | None = None
     given: dict[str, NDArray[Any]] = {}
@@ -210,7 +210,8 @@ def part_recipe(
     given: Mapping[str, NDArray[Any]] | None = None,
     make: str | None = None,
 ) -> Recipe:
-    """Of a method that works on parts; ``given``, ``make`` as in :func:`etendue.distributed.recipe`."""
+    """The recipe of a method that works on parts; ``given`` and ``make``: ``arguments`` and ``make`` of
+    :func:`etendue.distributed.recipe`."""
     parts = problem.root.distinct
     number = {id(part): k for k, part in enumerate(parts)}
     arrays: dict[str, NDArray[Any]] = {}
@@ -228,7 +229,7 @@ def part_recipe(
 
 
 def unit_recipes(method: DividedMultipath) -> list[Recipe]:
-    """Of what workers do for the boxes of a divided scene: each has those of one unit, and nothing around them."""
+    """Recipes for the workers of a divided scene, each with the boxes of one unit and nothing around them."""
     return [part_recipe(unit.problem, method, method.arguments(unit), method.inside) for unit in method.units]
 
 

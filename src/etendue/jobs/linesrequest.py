@@ -1,4 +1,4 @@
-"""What requests for form factors and for solutions have in common."""
+"""Base of the requests for form factors and for solutions."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class LinesRequest(ABC):
         return problem, self._patches(problem)
 
     def _patches(self, problem: Problem | None) -> Patches:
-        """The checked patches of the source, or of the scene that it is."""
+        """The checked patches of the source, or of ``problem`` if the source is a scene."""
         if isinstance(self.source, Patches):
             patches = self.source
         elif problem is not None:
@@ -191,7 +191,7 @@ class LinesRequest(ABC):
         """The scene; ``None`` if the source is not a scene."""
 
     def _loaded(self, tell: Callable[[str], object], **options: Any) -> Problem | None:
-        """The same, with further options of :func:`etendue.scene.load`."""
+        """See :meth:`problem`; ``options`` are further ones of :func:`etendue.scene.load`."""
         if isinstance(self.source, Patches) or self.is_mesh:
             return None
         found = locate(self.source, tell) if isinstance(self.source, (str, os.PathLike)) else self.source
@@ -203,8 +203,8 @@ class LinesRequest(ABC):
         return None if self.parameters is None else {name: str(value) for name, value in self.parameters.items()}
 
     def notes(self) -> dict[str, Any]:
-        """The request as plain values for a checkpoint, with absolute paths; empty if the source is in memory, so that
-        it could not be loaded again."""
+        """The request as plain values for a checkpoint, with absolute paths; empty if the source is in memory, since it
+        could not be loaded again."""
         if not isinstance(self.source, (str, os.PathLike)):
             return {}
         place: Any = Path(self.source) if self.is_mesh else locate(self.source, logger.debug)

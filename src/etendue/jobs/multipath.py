@@ -75,7 +75,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
     def _make(self, run: RunResult, writing: Writing, tell: Tell, counted: Counted) -> RadiosityResult:
         tell("solving")
         missed = self.method.missed(run.measurement)
-        if missed > _MISSED and missed**2 * run.samples > 9:  # of noise, at most 1 / sqrt(samples)
+        if missed > _MISSED and missed**2 * run.samples > 9:  # noise is at most 1 / sqrt(samples)
             logger.warning(
                 "lines missed %.1f %% of the surface, and the solution has an error of this size: faces lie on each "
                 "other; separate them, or take another solver",

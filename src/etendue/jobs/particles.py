@@ -59,24 +59,24 @@ if TYPE_CHECKING:
 
 #: Light paths, if no budget is given.
 DEFAULT_PATHS = 1_000_000
-_ROWS = "particles"  #: the record of them
+_ROWS = "particles"  #: name of the record of particles
 #: Ways to trace particles, by name.
 TRACINGS: dict[str, Any] = {kind.name: kind for kind in (ParticleTracing, MetropolisParticles)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParticleRequest:
-    """Particles of a scene. The first of the limits that is reached ends the tracing; passes are whole, so there may be
-    a few more. Without ``output`` the particles stay in memory."""
+    """Particles of a scene. The first limit that is reached ends the tracing; passes are whole, so there may be a few
+    more particles. Without ``output`` they stay in memory."""
 
     scene: Any
     output: Path | None = None
     paths: int | None = None
-    particles: int | None = None  #: about so many: a pilot says how many paths that takes
+    particles: int | None = None  #: approximate, in place of ``paths``: a pilot estimates the number of paths
     seconds: float | None = None
     codec: str = "packed"
     method: str = ParticleTracing.name  #: one of :data:`TRACINGS`
-    #: With workers: cut the scene into so many boxes along x, y and z; a worker loads one at a time.
+    #: With workers: numbers of boxes along x, y and z into which the scene is cut; each worker holds a share of them.
     boxes: tuple[int, int, int] | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
@@ -108,7 +108,7 @@ class ParticleRequest:
 
 @dataclass
 class ParticleResult(InNotebooks):
-    """What a run has traced. ``particles`` are in memory; ``None`` if they are in the file."""
+    """The result of a run. ``particles`` are in memory; ``None`` if they are in the file."""
 
     particles: Particles | None
     file: Path | None
@@ -116,7 +116,7 @@ class ParticleResult(InNotebooks):
     passes: int
     stopped_by: str
     elapsed: float
-    traffic: Traffic | None = None  #: of a scene in boxes: what the workers did
+    traffic: Traffic | None = None  #: for a scene in boxes: the tasks of the workers
 
 
 class ParticleWork:
@@ -181,7 +181,7 @@ class ParticleWork:
 
     @classmethod
     def resume(cls, path: Path, budget: Budget, particles: int | None = None, scene: Any = None) -> ParticleWork:
-        """Go on with a file; without a budget, with the rest of that of its run. ``scene``: its new place.
+        """Continue a file; without a budget, with the rest of the budget of its run. ``scene``: its new place.
 
         Raises :class:`ParticleError` for a file that cannot be read, :class:`CheckpointError` if the scene has changed
         or the budget is used up."""
@@ -210,7 +210,7 @@ class ParticleWork:
         return self._job.runner(**options)
 
     def _divided(self, cluster: Cluster) -> MakeExecutor:
-        """The executor of the workers, who send each pass by itself: the file has passes one by one."""
+        """The executor of the workers, which send passes singly, because the file contains single passes."""
         if self._job.method.carries_on:
             raise OptionError(
                 f"'{self._job.method.name}' cannot be divided among workers, because its chains go on from pass to "
@@ -269,7 +269,7 @@ class ParticleWork:
 
 
 class _Written:
-    """Takes passes of an executor and writes their particles, which then leave the measurement."""
+    """Takes the passes of an executor, writes their particles, and removes these from the measurement."""
 
     def __init__(self, writer: ParticleWriter, job: Job, make: MakeExecutor, order: Order) -> None:
         self._writer, self._job = writer, job
@@ -303,7 +303,7 @@ class _Written:
     def _write(self, made: Pass) -> Pass:
         measurement, begin = made.measurement, self._last
         ((key, rows),) = ((key, measurement.records[_ROWS][key]) for key in measurement.records[_ROWS].passes)
-        # A run that is killed goes on with the rest of this budget.
+        # A killed run is resumed with the rest of this budget.
         known = {"budget": self._job.budget.to_dict(), "earlier": self._job.earlier}
         self._last = time.perf_counter()
         elapsed = round(self._last - self._began, 3)
@@ -311,7 +311,7 @@ class _Written:
         self._writer.add(key[1], rows, counters, elapsed=elapsed, **known)
         if made.state:
             _save_state(self._writer.path, made.state)
-        # A file has no more than particles and counters.
+        # A file contains only particles and counters.
         kept = Measurement({}, {}, measurement.iterations, counters=measurement.counters, records={_ROWS: Record()})
         return Pass(kept, made.state)
 
@@ -349,7 +349,7 @@ def _load_state(path: Path) -> State:
 
 
 def _checkpoint(known: ParticleFile) -> Checkpoint:
-    """The state of a run from its file, as if it were saved."""
+    """A checkpoint of a run, made from its file of particles."""
     header = known.header
     passes = [[0, int(block.head["pass"]), int(block.head["pass"]) + 1] for block in known.passes]
     if not passes:
@@ -376,10 +376,10 @@ def _checkpoint(known: ParticleFile) -> Checkpoint:
 
 
 def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], object] = lambda done, of: None) -> Path:
-    """Write the particles of a file by another codec; ``tell`` gets the numbers of passes done and of all.
+    """Write the particles of a file by another codec; ``tell`` gets the number of passes done and of all passes.
 
     Raises :class:`ParticleError` for a file that cannot be read, :class:`OutputError` if ``output`` exists or cannot be
-    written; then it is removed."""
+    written; an incomplete ``output`` is removed."""
     chosen, known = Codec.parse(codec), ParticleFile(source)
     header = {name: value for name, value in known.header.items() if name not in ("crc", "surfaces", "format")}
     if known.codec.is_bounded:
@@ -392,7 +392,7 @@ def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], ob
             writer.add(int(end.head["pass"]), rows, end.head["counters"], **more)
             tell(done, len(known.passes))
         ending = {name: value for name, value in known.ending.items() if name != "crc"}
-        writer.close(**ending)  # without an ending it stays a file that is not finished
+        writer.close(**ending)  # without an ending the copy is not finished either
     except BaseException:
         writer.discard()
         raise

@@ -1,4 +1,4 @@
-"""Requests for form factors and solutions. Making a request checks all that can be checked before files are read."""
+"""Requests for form factors and solutions. Their constructors check all that can be checked before files are read."""
 
 from __future__ import annotations
 
@@ -111,13 +111,13 @@ class RadiosityRequest(LinesRequest):
     solver: str | None = None
     points: int | None = None
     shot: bool = True  #: send the light of small emitters by local rays first
-    #: Ambient term for all light, without lines; or for what is left after so many ``bounces`` (iterations).
+    #: Ambient term for all light, without lines; or for the light left after ``bounces`` iterations.
     ambient: str | None = None
     bounces: int | None = None
-    #: With an ambient term for all light: parts of the scene in which light stays for longer, objects by what makes
-    #: them (see :func:`etendue.radiosity.find_objects`), or ``"boxes"`` around groups of objects.
+    #: With an ambient term for all light: parts of the scene in which light stays for longer: a kind of objects (see
+    #: :func:`etendue.radiosity.find_objects`), or ``"boxes"`` around groups of objects.
     sub_scenes: str | None = None
-    #: Of the grouping to boxes: what makes objects, by default shapes of scenes, else components; and options of
+    #: For the grouping to boxes: the kind of objects, by default shapes of scenes, else components; and options of
     #: :func:`etendue.radiosity.grouped`, such as the threshold.
     objects: str | None = None
     groups: Mapping[str, Any] = field(default_factory=dict)
@@ -133,7 +133,7 @@ class RadiosityRequest(LinesRequest):
         return bool(self.outputs.pages)
 
     def making(self, history: Sequence[tuple[float, float]] = ()) -> Making:
-        """What a page says of the run, with its errors by number of lines."""
+        """The facts of a page about the run; ``history``: standard errors by number of lines or bundles."""
         settings = {
             field.name: value
             for field in fields(self)
@@ -241,12 +241,12 @@ class RadiosityRequest(LinesRequest):
         return self.objects is not None or bool(self.groups)
 
     def _grouping_options(self) -> str:
-        """The given ones, for messages."""
+        """The given options of the grouping, for messages."""
         given = [] if self.objects is None else [f"what makes objects ('{self.objects}')"]
         return ", ".join([*given, *map(self.wording.option, self.groups)])
 
     def _check_groups(self) -> None:
-        """Raise :class:`OptionError` for sub-scenes and groups that cannot be."""
+        """Raise :class:`OptionError` for sub-scenes and groups that are impossible."""
         option = self.wording.option
         if self.sub_scenes is not None and not self.is_instant:
             raise OptionError(
@@ -279,7 +279,7 @@ class RadiosityRequest(LinesRequest):
         return grouped(patches, objects_by(patches, self.objects).of_patch, **self._group_settings.to_dict())
 
     def scene_in_parts(self, patches: Patches) -> SubScene | None:
-        """Sub-scenes of an ambient solution, ``None`` without."""
+        """Sub-scenes of an ambient solution; ``None`` if there are none."""
         if self.sub_scenes is None:
             return None
         if self.sub_scenes == BOXES:
@@ -314,7 +314,7 @@ class RadiosityRequest(LinesRequest):
         return {"parameters": self._plain_parameters, "outputs": self.outputs.to_dict()}
 
 
-#: Fields of a request that are told elsewhere on a page, or nowhere.
+#: Fields of a request that a page does not list as settings.
 _NOT_SETTINGS = ("source", "outputs", "checkpoint", "save_every", "wording")
 
 
@@ -323,7 +323,7 @@ def _default(field: Field[Any]) -> Any:
 
 
 def _listed(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings of mappings beside the others, without those that were left out."""
+    """Settings with the entries of mappings at the same level, without those that are ``None`` or ``False``."""
     flat: dict[str, Any] = {}
     for name, value in settings.items():
         flat |= value if isinstance(value, Mapping) else {name: value}

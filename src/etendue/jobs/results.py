@@ -19,7 +19,7 @@ DEFAULT_POINTS = 1 << 22
 
 @dataclass(kw_only=True)
 class LinesResult(InNotebooks):
-    """What every cast of lines returns."""
+    """Base of the results of casting lines."""
 
     patches: Patches
     #: Bundles that were cast; 0 for multipath, which casts single lines, and for ambient solutions.
@@ -45,7 +45,7 @@ class RadiosityResult(LinesResult):
     """A solution, and the lines that transported its light."""
 
     solution: Solution
-    #: (n, c) standard error of the irradiance; ``None`` if there are too few lines to estimate it.
+    #: (n, c) standard error of the irradiance; ``None`` if there are no lines, or too few to estimate it.
     irradiance_error: Array | None
     #: The stored lines; ``None`` for multipath, which stores none.
     segments: Segments | None = None

@@ -23,9 +23,9 @@ Watch = Callable[[Progress, Runner], object]
 
 
 class Work(Protocol[T_co]):
-    """Work that makes passes and a result. If it has a method ``observe``, that is called with the progress after each
-    pass. Work that makes no picture has a method ``told``, which returns the progress in its own words, or an attribute
-    ``counted``, a word for one of its samples. ``started_by``: the function that does it in the background."""
+    """Work that makes passes and a result. If it has a method ``observe``, the method is called with the progress after
+    each pass. Work that makes no picture has a method ``told``, which returns the progress with ``made`` set, or an
+    attribute ``counted``, a word for one sample. ``started_by``: the function that starts it in the background."""
 
     def runner(self, **options: Any) -> Runner:
         """The runner of the passes and of intermediate saves; ``options`` are further options of :class:`Runner`."""
@@ -42,8 +42,8 @@ class Work(Protocol[T_co]):
 
 @dataclass(frozen=True)
 class Passes:
-    """The passes of some work alone; its result is made and written afterwards, in the main thread, where Ctrl-C ends
-    it."""
+    """Only the passes of some work; its result is made and written afterwards, in the main thread, where Ctrl-C
+    interrupts it."""
 
     work: Work[Any]
 
@@ -64,7 +64,7 @@ class Passes:
         self.work.keep(run)
 
     def finish(self, run: RunResult) -> RunResult:
-        """Save. Here a signal does not end the process; if it fails, ``work.finish`` tries again and reports it."""
+        """Save. A signal does not end the process here; if saving fails, ``work.finish`` tries again and reports it."""
         with suppress(EtendueError, OSError):
             self.work.keep(run)
         return run
@@ -83,7 +83,7 @@ def run_work(work: Work[T], watch: Watch | None = None) -> T:
             if (done := runner.interrupted()) is not None:
                 _keep(work, done)
             _advise(error, work, runner.progress)
-            if live is not None:  # the frames below are of whatever the pass was doing, and fill the page
+            if live is not None:  # the traceback of a pass is long and would fill the page
                 raise error.with_traceback(None) from None
             raise
         if live is not None:
@@ -92,7 +92,7 @@ def run_work(work: Work[T], watch: Watch | None = None) -> T:
 
 
 def _advise(error: KeyboardInterrupt, work: Work[Any], progress: Progress) -> None:
-    """Add what to do instead of Ctrl-C, where what was made is lost for the caller."""
+    """Add advice to the error: after Ctrl-C the caller gets no result, a session keeps it."""
     start = getattr(work, "started_by", "")
     if start:
         error.add_note(
@@ -103,7 +103,7 @@ def _advise(error: KeyboardInterrupt, work: Work[Any], progress: Progress) -> No
 
 @contextmanager
 def _shown() -> Iterator[LiveProgress | None]:
-    """Progress below the cell of a notebook, which says in the end how the run ended; ``None`` elsewhere."""
+    """Progress below the cell of a notebook, and at the end how the run ended; ``None`` elsewhere."""
     if (live := _live()) is None:
         yield None
         return

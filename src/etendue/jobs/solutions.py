@@ -73,7 +73,7 @@ class SolutionOutputs:
     # Of a lightmap.
     lightmap: Path | None = None  #: an .exr file, or a mesh file with the .exr beside it
     lightmap_size: int = 1024  #: largest number of texels of a side
-    command: str = ""  #: one that makes a page again
+    command: str = ""  #: a command that makes the page again
     uv: str | None = None  #: a glTF file with TEXCOORD_1, or "scene" for the scene's own; None makes an atlas
 
     @property
@@ -170,7 +170,7 @@ class SolutionOutputs:
         making: Making | None = None,
     ) -> Shown:
         """Write all files. ``error``: of the irradiance, if known. ``tell`` receives a description of the current
-        step. ``making``: what a page says of the run."""
+        step. ``making``: how the solution was made, for a page."""
         shown = Shown()
         for path in self.files:
             if path not in (*self.pictures, *self.pages):

@@ -54,7 +54,7 @@ class RequestedWork(ABC, Generic[Q, R]):
     Attributes
     ----------
     problem: the scene, if the source is one.
-    kept: what a checkpoint keeps, in the plural: a word of messages.
+    kept: plural noun for the content of a checkpoint, in messages.
     cluster: makes the passes; without it this process does.
     """
 
@@ -65,10 +65,10 @@ class RequestedWork(ABC, Generic[Q, R]):
 
     def __init__(self, request: Q, saved: Checkpoint | None) -> None:
         self.request, self.saved = request, saved
-        self._checkpoint: Path | None = None  # written, with all that was cast
+        self._checkpoint: Path | None = None  # once it is written, with everything that was cast
         self._job: Job | None = None
         self.budget = request.budget(saved)
-        #: Lines, and the standard error by then, each time it is estimated anew.
+        #: Number of lines or bundles, and the standard error, at each new estimate.
         self.history: list[tuple[float, float]] = []
         self.notes = request.notes() or ({} if saved is None else dict(saved.notes))
 
@@ -90,12 +90,12 @@ class RequestedWork(ABC, Generic[Q, R]):
             self.history.append((float(progress.samples), error))
 
     def told(self, progress: Progress) -> Progress:
-        """In words: "3 bundles, 1.2e+06 segments". See :class:`Work`."""
+        """See :class:`Work`: the progress in words, as "3 bundles, 1.2e+06 segments"."""
         return replace(progress, made=self.progress_text(progress), traced="segments")
 
     @abstractmethod
     def progress_text(self, progress: Progress) -> str:
-        """What has been cast in words, as "3 bundles, 1.2e+06 segments"."""
+        """The amount cast in words, as "3 bundles, 1.2e+06 segments"."""
 
     def keep(self, run: RunResult) -> None:
         """Write the checkpoint, if one is requested; in the system's temporary folder if that fails. The error then
@@ -113,8 +113,8 @@ class RequestedWork(ABC, Generic[Q, R]):
         """Write the checkpoint, make the result and write its files. ``counted`` receives the number of bundles and
         their segments, if segments are stored.
 
-        If something fails, the error says where what was cast is kept: in the requested checkpoint, or in one in the
-        system's temporary folder.
+        If something fails, the error names the checkpoint with everything that was cast: the requested one, or one in
+        the system's temporary folder.
         """
         writing = Writing()
         with self._all_kept(run):
@@ -135,8 +135,8 @@ class RequestedWork(ABC, Generic[Q, R]):
         """How to resume ``run`` from a checkpoint."""
 
     def _run(self, problem: Any, method: Any, recipe_of: Callable[[Any, Any], Recipe], **options: Any) -> Runner:
-        """The runner of a prepared method, which goes on with the checkpoint if there is one. Workers of a cluster make
-        the method by ``recipe_of`` the problem and the method."""
+        """The runner of a prepared method, which continues the checkpoint if there is one. Workers of a cluster make
+        the method from the recipe ``recipe_of(problem, method)``."""
         saved, seed, earlier, done = self.saved, int(self.request.seed), 0.0, Iterations()
         made = method
         state: Any = None
@@ -154,7 +154,7 @@ class RequestedWork(ABC, Generic[Q, R]):
     def _executor(
         self, cluster: Cluster, problem: Any, method: Any, recipe_of: Callable[[Any, Any], Recipe]
     ) -> MakeExecutor:
-        """What makes the passes on a cluster."""
+        """The executor of the passes on a cluster."""
         return cluster.executor(recipe_of(problem, method))
 
     def _with_saves(self, options: dict[str, Any]) -> dict[str, Any]:
@@ -182,7 +182,7 @@ class RequestedWork(ABC, Generic[Q, R]):
             raise failure from (error.__cause__ if known else error)
 
     def _metadata(self, **more: Any) -> dict[str, Any]:
-        """For the files."""
+        """Metadata of the files."""
         source = self.request.name if self.problem is None else self.problem.source
         return about(source, seed=self.request.seed, **more)
 
@@ -237,7 +237,7 @@ class LinesWork(PatchWork[Q, R]):
         return False
 
     def _objects(self) -> Objects | None:
-        """Those of a hierarchy of lines, ``None`` for lines of the whole scene."""
+        """The objects of a hierarchy of lines; ``None`` for lines through the whole scene."""
         return None
 
     @property
@@ -287,7 +287,7 @@ class LinesWork(PatchWork[Q, R]):
         return self.request.wording.resume(checkpoint, "bundles", self.lines.cast(run).count)
 
     def _cast(self, run: RunResult, lines: CastLines, segments: Segments) -> dict[str, Any]:
-        """The fields that both results have."""
+        """The fields that form factors and solutions have in common."""
         return {
             "patches": self.patches,
             "segments": segments,
@@ -369,7 +369,7 @@ def radiosity_work(
 def solve_ambient(
     request: RadiosityRequest, tell: Tell = logger.info, patches_read: Callable[[Patches], object] = _silent
 ) -> RadiosityResult:
-    """A solution without lines, and its files. ``patches_read`` is given the patches before they are solved for."""
+    """A solution without lines, and its files. ``patches_read`` receives the patches before the solution."""
     assert request.ambient is not None
     problem, patches = request.load(tell)
     patches_read(patches)

@@ -6,12 +6,12 @@ and for the rest a term at one vertex of the path,
 .. math:: \alpha \, \rho(z) \, \frac{H_k(n)}{\pi}, \quad H_k = F \, (1 - R F)^{-1} (R F)^{k - 1} B_1
 
 with the throughput alpha up to the vertex z, its albedo rho and its normal n. H_k is the irradiance of light that has
-been reflected k times or more before; B_1 (radiosity by direct light), R (albedo) and F are means over classes of
-normals, see :mod:`etendue.transport.ambient`. ``ambient_path`` takes it at the m-th vertex from the camera, with k = 1,
-``ambient_light`` at the first, with k = m, as it cannot add anything at the ends of its light paths.
+been reflected at least k times before; B_1 (radiosity by direct light), R (albedo) and F are means over classes of
+normals, see :mod:`etendue.transport.endings.ambient`. ``ambient_path`` adds the term at the m-th vertex from the
+camera, with k = 1; ``ambient_light`` at the first, with k = m, because it cannot add light at the ends of light paths.
 
-Biased: the ambient term knows neither corners nor shadows, nor where in a scene a surface is. The bias does not become
-less with time, but with more bounces.
+Biased: the ambient term ignores corners, shadows and the position of a surface. The bias decreases with more bounces,
+not with more time.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ from .base import ImageMethod, ImageSettings, Layer, W, keep_finite, total
 from .light import LightSettings, LightTracing
 from .path import Path, PathSettings
 
-#: Added to the numbers of the vertices after the last of a path: a loop over edges has no other mark to tell them by.
+#: Added to the depth of a path after its last vertex, to mark what follows: the loop has no other field for it.
 _AFTER = 1 << 24
 
 
 @dataclass(frozen=True)
 class _AmbientSettings:
-    """What both methods take."""
+    """Settings of both methods."""
 
     ambient: str = setting(
         "fuzzy",
@@ -76,20 +76,20 @@ class AmbientLightSettings(_AmbientSettings, LightSettings):
 class _Ambient(ImageMethod):
     """Finds the ambient light before the first pass."""
 
-    #: Of the light that is ambient, what :meth:`AmbientScene.irradiance` calls ``reflected``.
+    #: Least number of reflections of the ambient light, ``reflected`` of :meth:`AmbientScene.irradiance`.
     reflected: int = 1
 
     @property
     def has_ambient(self) -> bool:
-        """Whether there is light for the ambient term: not if ``max_depth`` ends all paths within ``bounces``."""
+        """Whether there is light for the ambient term: none if ``max_depth`` ends all paths within ``bounces``."""
         return not 0 <= self.settings.max_depth <= self.settings.bounces + 1
 
     def max_edges(self) -> int:
-        """See :class:`ImageMethod`; no limit for paths that end in the term, which has all further reflections."""
+        """See :class:`ImageMethod`; no limit for paths that end in the term, which contains all further reflections."""
         return 1 << 30 if self.has_ambient else super().max_edges()
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`ImageMethod`; walks from the camera to find the ambient light."""
+        """See :class:`ImageMethod`; walks from the camera measure the ambient light."""
         super().prepare(problem, seed)
         if not self.has_ambient:
             return
@@ -102,7 +102,7 @@ class _Ambient(ImageMethod):
 
 
 class AmbientPath(_Ambient, Path):
-    """Path tracing that ends in an ambient term after so many reflections."""
+    """Path tracing that ends in an ambient term after a given number of reflections."""
 
     name: ClassVar[str] = "ambient_path"
     plugin: ClassVar[str | None] = None
@@ -111,7 +111,7 @@ class AmbientPath(_Ambient, Path):
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Kajiya1986")
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """See :class:`ImageMethod`; of paths that end early."""
+        """See :class:`ImageMethod`; paths end early."""
         if not self.has_ambient:
             return super().walker(kind, **own)
         ends = {"ambient": self.ambient, "bounces": self.settings.bounces}
@@ -120,7 +120,7 @@ class AmbientPath(_Ambient, Path):
 
 
 class AmbientLight(_Ambient, LightTracing):
-    """Light tracing that ends after so many reflections, and an ambient term for the rest at what the camera sees."""
+    """Light tracing that ends after a given number of reflections, with an ambient term at the surfaces seen."""
 
     name: ClassVar[str] = "ambient_light"
     Settings: ClassVar[type[ImageSettings]] = AmbientLightSettings
@@ -162,7 +162,7 @@ class AmbientLight(_Ambient, LightTracing):
 
 
 def _seen(s: CameraPath, walker: Walker, ambient: AmbientTable, source: SampleSource) -> CameraPath:
-    """Ambient light at what the camera sees, be it in mirrors or through glass."""
+    """Ambient light at the surfaces that the camera sees, directly, in mirrors or through glass."""
     vertex = walker.arrive(s)
     s.active &= vertex.valid & (s.depth < walker.max_edges)
     scattered, _ = vertex.sample(source, s.active)
@@ -173,15 +173,16 @@ def _seen(s: CameraPath, walker: Walker, ambient: AmbientTable, source: SampleSo
 
 
 def reflected(s: CameraPath, vertex: WalkVertex, scattered: Scattered, ambient: AmbientTable) -> mi.Color3f:
-    """Ambient light that a vertex reflects along the path; nothing where a mirror, or glass, goes on with the path."""
+    """Ambient light that a vertex reflects along the path; 0 where the path continues by specular scattering."""
     ends = scattered.active & ~scattered.is_delta
     return (s.throughput * scattered.weight * ambient.at(vertex, ends)) & ends
 
 
 @dataclass(kw_only=True)
 class _EndingWalker(Walker):
-    """Paths take ambient light at the vertex of number ``bounces``, or the first after it that is no mirror. What they
-    do after it is to find lights, in mirrors and through glass too, for the light points of that vertex."""
+    """Paths add ambient light at the vertex with the number ``bounces``, or at the first one after it whose scattering
+    is not specular. They then continue only to hit lights, also through mirrors and glass, which the weights of the
+    light points of that vertex assume."""
 
     ambient: AmbientTable
     bounces: int
@@ -218,7 +219,7 @@ class _EndingWalker(Walker):
 
 @dataclass(kw_only=True)
 class _EndingLightWalk(LightWalk):
-    """Light paths end at the vertex of number ``bounces``, or the first after it that is no mirror."""
+    """Light paths end at vertex number ``bounces``, or at the first one after it whose scattering is not specular."""
 
     bounces: int
 

@@ -55,7 +55,7 @@ W = TypeVar("W", bound=Walker)
 Layer = NDArray[np.float32]
 
 #: Camera paths of a pass for two cores: fewer use the cores badly, more delay the first picture. The number grows with
-#: the cores, up to a factor of ``_MOST_FULL``, which is also that of a GPU.
+#: the cores, up to a factor of ``_MOST_FULL``, which is also the factor for a GPU.
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
 #: Camera paths of a pass for methods that learn after each.
@@ -68,7 +68,7 @@ _MOST_SAMPLES = 64
 _CELL_BYTES, _CELL_SHARE = 120, 0.125
 #: Light and camera paths of a pilot pass.
 PILOT_PATHS = 1 << 13
-#: Most camera paths of a pass: a device array has fewer than 2^32 numbers, and a path has a colour.
+#: Most camera paths of a pass: a device array has fewer than 2^32 numbers, and a path has three.
 _MAX_LANES = 1 << 30
 #: Most light paths of one kernel; a pass with more traces them in groups.
 MOST_LIGHT_LANES = 1 << 26
@@ -185,7 +185,7 @@ class ImageMethod(ABC):
         self.problem.scene = self.scene = self.visibility.scene = scene
 
     def tables(self) -> tuple[object, ...]:
-        """What the kernels of the prepared method read, for ``core.Frozen``."""
+        """The objects that the kernels of the prepared method read, for ``core.Frozen``."""
         return self.scene, self.camera, self.lights, self.visibility, self.edges
 
     @property
@@ -260,7 +260,7 @@ class ImageMethod(ABC):
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """A walker of class ``kind`` for the prepared scene; ``own``: the fields that the class adds, or others."""
+        """A walker of class ``kind`` for the prepared scene; ``own``: fields to add, or to override."""
         common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
         return kind(**(common | own), rr_depth=self.settings.rr_depth)
 
@@ -304,7 +304,7 @@ class ImageMethod(ABC):
         return Splats(self.camera, images, shift if in_cells else None)
 
     def path_fields(self) -> dict[str, Any]:
-        """What the state of a camera path has in addition, for ``CameraPath.start``."""
+        """Additional fields of the state of a camera path, for ``CameraPath.start``."""
         return component_fields() if self.settings.components else {}
 
     def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:
@@ -327,7 +327,7 @@ class ImageMethod(ABC):
         return {name: dr.select(bad, 0.0, part * factor) for name, part in parts.items()}, bad
 
     def kept_layers(self, path: CameraPath) -> tuple[dict[str, mi.Color3f], mi.Bool]:
-        """As :meth:`kept`, of what camera paths have found: the layer ``image``, or one for each component."""
+        """As :meth:`kept`, of the light of camera paths: the layer ``image``, or one for each component."""
         if path.by_component:
             return self.kept_together(dict(zip(COMPONENTS, path.by_component, strict=True)))
         radiance, bad = self.kept(path.radiance)
@@ -361,8 +361,8 @@ class ImageMethod(ABC):
         return None if self._hits is None else self._hits.of(lanes, iteration)
 
     def first_layers(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], int]:
-        """(layers of what was met first by the camera paths of a pass, or by camera rays where the pass has traced
-        none; number of values that were not finite)."""
+        """(layers of the first surfaces hit by the camera paths of a pass, or by camera rays if the pass has traced no
+        paths; number of values that were not finite)."""
         hits, self._hits = self._hits or FirstHits(self.camera.pixels, samples), None
         if not hits.recorded:
             lanes = hits.lanes()

@@ -70,28 +70,28 @@ from .store import Group, VertexRoom, check_pyramid, concatenated
 
 
 class Bidirectional(Carrying, ImageMethod):
-    """The estimator, of which ``bpt``, ``bpm`` and ``vcm`` have different default settings."""
+    """The estimator of ``bpt``, ``bpm`` and ``vcm``, which differ in their default settings."""
 
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
     settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
-    #: Estimates of the next passes' second moments, if they are wanted; cleared at the begin of a pass. If it is set
-    #: before :meth:`prepare`, the pilot has the kernels of those passes.
+    #: Estimates of the second moments of the next passes, if wanted; cleared at the beginning of a pass. If it is set
+    #: before :meth:`prepare`, the pilot uses the same kernels as these passes.
     moments: Moments | None = None
-    #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
+    #: Points of the light paths' sequence that a pass takes, if more than its light paths.
     light_stride = 0
     _learning: LearnedEmission | None = None
     _choosing: LearnedConnections | None = None
 
     @property
     def _learned(self) -> dict[str, Learned]:
-        """What is learned, by its name in the state."""
+        """The learned densities, by name in the state."""
         learned = {"emission": self._learning, "connections": self._choosing}
         return {name: one for name, one in learned.items() if one}
 
     @property
     def carries_on(self) -> bool:  # type: ignore[override]
-        """Whether passes learn from those before; known once it is prepared."""
+        """Whether passes learn from earlier ones; known after :meth:`prepare`."""
         return bool(self._learned)
 
     def prepare(self, problem: Problem, seed: int) -> None:
@@ -133,7 +133,7 @@ class Bidirectional(Carrying, ImageMethod):
         self._groups = self._count_groups()
 
     def use(self, counts: Candidate) -> None:
-        """Give further passes other sample counts than those of the settings."""
+        """Set the sample counts of the next passes, instead of those of the settings."""
         merging = counts.merging and self.settings.merging
         self.techniques = replace(self.techniques, connection=counts.connections, merge=merging)
         self._paths = max(1, round(counts.light_paths * self.camera.pixels * self.samples_per_iteration))
@@ -193,7 +193,7 @@ class Bidirectional(Carrying, ImageMethod):
     def _splats(self, seed: int, iteration: int, role: str = "") -> Splats | None:
         if not self.techniques.splat:
             return None
-        # The pictures of a pyramid add up to that of the pass, so they are made in one way: without cells.
+        # The pictures of a pyramid add up to that of the pass, so both are made in the same way: without cells.
         images = (len(REFLECTED) if self.settings.components else 1) + len(self._more_radii)
         return self.splats(seed, iteration, images, role, in_cells=not self.settings.pyramid)
 
@@ -207,7 +207,7 @@ class Bidirectional(Carrying, ImageMethod):
         return max(groups, -(-self._paths // base.MOST_LIGHT_LANES))
 
     def _left(self) -> State:
-        """Number of groups and vertices of a light path, which change if the capacity was too small for a pass."""
+        """Number of groups, and vertices per light path, which change if a pass lacks capacity; learned densities."""
         learned = {name: one.state() for name, one in self._learned.items()}
         return {"groups": self._groups, "vertices_per_path": self._room.per_path} | learned
 
@@ -219,14 +219,14 @@ class Bidirectional(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def radius(self, iteration: int) -> float:
-        """Merge radius of a pass, in units of the render space [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
+        """Merge radius of a pass (from 0), render space [Georgiev 2012, eq. 10], before learned emission shrinks it."""
         return radii.reduced(self._first_radius, iteration, self.settings.alpha, self.samples_per_iteration)
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
         if self._learning:
-            # As many light vertices to a disc as without learning: more take time, and a smaller disc blurs less.
+            # As many light vertices in a disc as without learning: more take time, and a smaller disc blurs less.
             radius /= math.sqrt(self._learning.guide.crowding)
         splats = self._splats(seed, iteration)
         s = self.settings

@@ -96,7 +96,7 @@ class BidirectionalSettings(CameraSettings):
             raise OptionError(f"option 'radii={self.radii}' needs merging, which is off; leave it out")
 
     def all_direct(self, lights: int) -> bool:
-        """Whether all techniques find direct light in a scene with so many lights."""
+        """Whether all techniques find direct light in a scene with this number of lights."""
         return self.direct_light == "all" or (self.direct_light == "auto" and lights >= MANY)
 
 

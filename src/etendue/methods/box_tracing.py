@@ -1,4 +1,4 @@
-"""Particle tracing in a scene that is cut into boxes, each in another process, see :mod:`etendue.particles.boxes`."""
+"""Particle tracing in a scene that is divided into boxes, one process each, see :mod:`etendue.particles.boxes`."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from .particles import PATHS, RECORD, ParticleSettings, ParticleTracing
 Carried = tuple[NDArray[np.uint32], NDArray[np.uint32], dict[str, float]]
 
 _NO_PARTICLES = np.zeros((0, WORDS + 1), np.uint32)
-#: Particles of a path in one box for which there is room at first, and particles in any case.
+#: First capacity of a store in a box: particles for each path, and a number of particles added to them.
 _EACH, _LEAST = 4, 1024
 
 
 class BoxTracing(ParticleTracing):
-    """What a process does that has the shapes of one box.
+    """Particle tracing by a process that has the shapes of one box only.
 
-    box: its number in ``grid``. shapes: for each shape of its scene the index in the whole one."""
+    box: number of the box in ``grid``. shapes: for each shape of the process, its index in the whole scene."""
 
     def __init__(self, settings: ParticleSettings, grid: BoxGrid, box: int, shapes: Sequence[int]) -> None:
         super().__init__(settings)
@@ -107,8 +107,8 @@ def check_divisible(tracing: ParticleTracing) -> None:
 
 
 def gathered(iteration: int, products: Sequence[NDArray[np.uint32]], counters: dict[str, float]) -> Measurement:
-    """The measurement of a pass from what all boxes have found; that of :class:`ParticleTracing` but for ``rays``,
-    which counts a ray in each box that it crosses."""
+    """The measurement of a pass from the particles of all boxes; equal to that of :class:`ParticleTracing`, except that
+    ``rays`` counts a ray in each box that it crosses."""
     rows = in_path_order(np.concatenate([_NO_PARTICLES, *products]))
     every = {PATHS: 0.0, RECORD: 0.0, "rays": 0.0, "nonfinite": 0.0} | counters
     return Measurement(

@@ -16,12 +16,12 @@ from etendue.transport import CameraPath, EndingGuidedWalk, EndingWalker, Guided
 
 from .base import CameraSettings, ImageMethod, W, total
 
-#: The walks that end in a map, for those that do not.
+#: For each walk, its variant that ends in a map.
 _ENDING: dict[type[Walker], type[Walker]] = {Walker: EndingWalker, GuidedWalk: EndingGuidedWalk}
 #: Name of the digest in states.
 _DIGEST = "map"
-#: Largest share of the paths that may end where a map has no surface, before it is of another scene; and without a
-#: warning: rounding at edges and curved surfaces that are flat in the map.
+#: Shares of the paths that end where a map has no surface: above the first, the map is of another scene; above the
+#: second, there is a warning. Rounding at edges, and curved surfaces that are flat in the map, cause small shares.
 _UNMAPPED, _FEW = 0.5, 0.01
 
 
@@ -46,7 +46,7 @@ class EndsInMap(ImageMethod):
     """Base of methods with :class:`EndingSettings`."""
 
     settings: Any
-    #: The map; set it before :meth:`prepare` to use one that is in no file.
+    #: The map; set it before :meth:`prepare` to use a map without a file.
     map: SurfaceMap | None = None
     #: Digest of the file of the map; "" without a file.
     _digest = ""
@@ -82,7 +82,7 @@ class EndsInMap(ImageMethod):
             )
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """See :class:`ImageMethod`; of paths that end in the map."""
+        """See :class:`ImageMethod`; paths end in the map."""
         if self.map is None or kind not in _ENDING:
             return super().walker(kind, **own)
         walker: Any = super().walker(_ENDING[kind], after=self._after, **own)
@@ -95,7 +95,7 @@ class EndsInMap(ImageMethod):
     def light_of_map(self, path: CameraPath) -> mi.Color3f | None:
         """Light of the map at the ends of paths, whose loop is evaluated first; None without a map.
 
-        Warns once if the map has no surface at some ends; raises :class:`OptionError` if at most.
+        Warns once if the map has no surface at some ends; raises :class:`OptionError` if at more than half of them.
         """
         end = path.end
         if self.map is None or end is None:

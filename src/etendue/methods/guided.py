@@ -1,12 +1,13 @@
 r"""Path guiding: path tracing that learns the incident light while it renders.
 
 The estimator is that of ``path``. Directions are sampled from a mixture of the BSDF and a
-:class:`~etendue.transport.Guide`; the density of the mixture enters the MIS weights of light points. The guide has, for
-each cell of the scene and each leaf of a quadtree over the directions, the mean contribution of paths [Muller 2017]:
+:class:`~etendue.transport.Guide`; the density of the mixture enters the MIS weights of light points. The guide
+stores, for each cell of the scene and each leaf of a quadtree over the directions, the mean contribution of paths
+[Muller 2017]:
 
 .. math:: \int_{leaf} f_s(x, \omega) |cos| L(x, \omega) d\omega
 
-where L has the MIS weights of the picture, so that light found by light points at x counts little. Training has
+where L contains the MIS weights of the picture, so that light found by light points at x counts little. Training has
 generations; each has twice as many passes as the one before, and starts with refined trees and empty sums. The weight
 of a pass in the picture depends only on its generation, so the mean is unbiased; weights by measured variances
 [Muller 2019] would be biased. The guide also learns the selection of lights, and Russian roulette uses its estimates
@@ -147,7 +148,7 @@ class Guided(Carrying, EndsInMap):
         return self.images(radiance, seed, iteration), counters
 
     def _stride(self, lanes: int) -> int:
-        """One path in so many gives training samples."""
+        """Number of paths of which one gives training samples."""
         most = _PATHS
         if self.problem.memory:
             most = max(1, min(most, int(STORE_SHARE * self.problem.memory / TrainingSamples.path_bytes)))

@@ -38,7 +38,7 @@ from etendue.transport import dimensions as dim
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
 
-#: Part of its length by which a shadow ray ends before a light.
+#: Share of its length by which a shadow ray ends before a light.
 _SHADOW_EPSILON = 1e-3
 
 
@@ -74,7 +74,7 @@ class LightTracing(Carrying, ImageMethod):
 
     @property
     def carries_on(self) -> bool:  # type: ignore[override]
-        """Whether passes learn from those before; known once it is prepared."""
+        """Whether passes learn from earlier ones; known after :meth:`prepare`."""
         return self._learning is not None
 
     def _left(self) -> State:

@@ -41,7 +41,7 @@ def camera_numbers(
     iteration: int,
     role: str,
 ) -> SampleSource:
-    """Stratified random numbers of the camera paths ``number`` of the ``samples`` that a pixel has in a pass."""
+    """Stratified random numbers of camera paths; ``number``: of a path among the ``samples`` of its pixel in a pass."""
     index, high = places(number, 0 if sampler == "hammersley" else iteration * samples)
     if sampler == "owen":
         return OwenSobolSource(pixel, index, seed, role, high)
@@ -96,7 +96,7 @@ def _radical(
     iteration: int,
     role: str,
 ) -> RadicalSource:
-    """Halton's sequence, which goes on from pass to pass, or Hammersley's ``size`` points, new ones in each pass."""
+    """Halton's sequence, which continues from pass to pass, or Hammersley's ``size`` points, new ones in each pass."""
     new = sampler == "hammersley"
     return RadicalSource(
         sequence,
@@ -112,7 +112,7 @@ def _radical(
 
 
 class SharedFilm:
-    """Random numbers of camera paths, with a source of its own for the offset in the pixel."""
+    """Random numbers of camera paths, with a separate source for the offset in the pixel."""
 
     def __init__(self, base: SampleSource, film: SampleSource) -> None:
         self._base, self._film = base, film

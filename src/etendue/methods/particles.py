@@ -49,18 +49,18 @@ from etendue.transport import (
 from .base import MOST_LIGHT_LANES, PILOT_PATHS, total
 from .numbers import path_numbers
 
-#: Particles of a pass, if the number of paths is not given; they take 64 bytes on the device, and as many when sorted.
+#: Particles of a pass, if the number of paths is not given; they take 64 bytes on the device, and 64 more when sorted.
 _PASS_PARTICLES = 1 << 20
-#: Most paths of a pass, if their number is not given.
+#: Most paths of a pass, if their number is not given; and memory of a particle, in bytes.
 _PASS_PATHS = 1 << 22
 _BYTES = 192
 #: Share of a memory limit that the particles of a pass may take.
 _MEMORY_SHARE = 0.4
-#: Capacity beyond the expected number of particles: a factor, and particles.
+#: Capacity beyond the expected number of particles: a factor, and a number of particles.
 _MARGIN, _PAD = 1.05, 1024
-#: Pilots grow until one has so many particles, or until there were so many pilots.
+#: Pilots grow until one finds the first number of particles; the second is the most pilots.
 _ENOUGH, _PILOTS = 1024, 3
-#: A store has 16 numbers for a particle, and fewer than 2^32.
+#: Most particles of a store, which has 16 numbers for each, and fewer than 2^32 in all.
 _MOST_STORED = 1 << 28
 #: Names in a measurement.
 RECORD, PATHS = "particles", "paths"
@@ -122,11 +122,11 @@ class ParticleTracing:
         self.settings = settings if settings is not None else ParticleSettings()
         #: Particles of a light path, measured by a pilot; it determines the paths of a pass.
         self.per_path = 0.0
-        #: Most particles of a light path, in the mean of a pass so far, for which there is room.
+        #: Particles of a light path for which there is room: the largest mean of a pass so far.
         self._room = 0.0
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """Build the tables, and trace pilots. Raises :class:`SceneError` if they have no particle."""
+        """Build the tables, and trace pilots. Raises :class:`SceneError` if they find no particle."""
         self._build(problem, seed)
         paths, found = PILOT_PATHS, 0
         for attempt in range(_PILOTS):
@@ -151,7 +151,7 @@ class ParticleTracing:
             visibility=Visibility(problem.scene),
             lights=self.lights,
             max_edges=dr.opaque(mi.UInt32, settings.max_bounces if settings.max_bounces >= 0 else 1 << 30),
-            # The absorbed flux is estimated where roulette ends a path, so it plays from the first hit on.
+            # The absorbed flux is estimated where roulette ends a path, so roulette applies from the first hit on.
             rr_depth=1 if keep is Keep.ABSORBED else settings.rr_depth,
             keep=keep,
             after=dr.opaque(mi.UInt32, settings.after),
@@ -258,7 +258,7 @@ class ParticleTracing:
         kind = "independent" if sampler == "strata" else sampler
         source = path_numbers(kind, number, paths, seed, iteration, role + "light")
         if sampler == "strata":
-            # Emission by importance draws more than the light from the number of the light.
+            # Emission by importance uses the number of the light for more than the choice of the light.
             one_light = self.lights.count == 1 and self.settings.emission != "importance"
             source = StratifiedSource(source, number, paths, EMISSION[one_light:] + FIRST_BOUNCE)
         return source

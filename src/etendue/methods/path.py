@@ -81,7 +81,7 @@ class Path(EndsInMap):
         return path_pass(self, iteration, seed, samples, self.trace)
 
     def trace(self, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
-        """Camera paths that begin with ``ray``, after their last edge; their first hits are added to ``first``."""
+        """Camera paths that begin with ``ray``, in their final state; their first hits are added to ``first``."""
         walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
         path = traced(ray, walker, self.settings.direct_weights, source, **self.path_fields())
         if (light := self.light_of_map(path)) is not None:
@@ -109,7 +109,7 @@ def path_pass(
 
 
 def traced(ray: mi.Ray3f, walker: Walker, weights: DirectWeights, source: SampleSource, **own: Any) -> CameraPath:
-    """Paths that begin with ``ray``, after their last edge. ``own``: see :meth:`CameraPath.start`."""
+    """Paths that begin with ``ray``, in their final state. ``own``: see :meth:`CameraPath.start`."""
     path = CameraPath.start(ray, walker.max_edges, **own)
     return walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
 

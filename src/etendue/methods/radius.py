@@ -45,8 +45,8 @@ def layer(factor: float) -> str:
 
 def reduced(first: float, iteration: int, alpha: float, samples: int = 1) -> float:
     """Radius of the pass with number ``iteration``, from 0; ``first``: that of pass 0; ``samples``: camera paths per
-    pixel and pass. It is the radius that passes of one camera path per pixel [Georgiev 2012, eq. 10] have after as many
-    camera paths."""
+    pixel and pass. It is the radius that passes of one camera path per pixel [Georgiev 2012, eq. 10] have after the
+    same number of camera paths."""
     return float(first * (iteration * samples + 1) ** ((alpha - 1.0) / 2.0))
 
 
@@ -67,7 +67,7 @@ def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) ->
 
 
 def _pixel_footprint(method: ImageMethod, seed: int) -> float:
-    """Median width of a pixel on the first surfaces that camera rays hit."""
+    """Median width of a pixel on the first surfaces that camera rays hit; 0.002 of the half diagonal without hits."""
     camera = method.camera
     lanes = dr.arange(mi.UInt32, min(camera.pixels, 1 << 14))
     source = IndependentSource(lanes, seed, "pilot camera", 0)

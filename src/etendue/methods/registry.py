@@ -118,8 +118,8 @@ def by_plugin(name: str) -> type[ImageMethod] | None:
 
 @functools.cache
 def _load_entry_points() -> None:
-    """Register the methods of other packages, once a process. One that cannot be loaded causes a warning, and an error
-    when it is used."""
+    """Register the methods of other packages, once per process. A method that cannot be loaded causes a warning, and an
+    error when it is used."""
     for point in entry_points(group=GROUP):
         try:
             _register_entry_point(point)

@@ -16,7 +16,7 @@ from .numbers import Lanes
 #: Memory for light vertices in bytes, if the run has no memory limit; and their share of a limit.
 _BYTES = 600e6
 STORE_SHARE = 0.4
-#: Capacity beyond the measured number of vertices: a factor, and vertices.
+#: Capacity beyond the measured number of vertices: a factor, and a number of vertices.
 _MARGIN = 1.05
 _PAD = 1024
 
@@ -61,13 +61,13 @@ class VertexRoom:
         return self.per_path * paths * _MARGIN * self._bytes_per_vertex
 
     def limit_for(self, vertices: int) -> float:
-        """Memory limit of a run, in bytes, for which :attr:`most` is a number of vertices."""
+        """Memory limit of a run, in bytes, for which :attr:`most` is ``vertices``."""
         return vertices * _MARGIN * self._bytes_per_vertex / STORE_SHARE
 
     def groups(self, paths: int) -> int:
         """Number of groups into which light paths are divided, so that the vertices of a group fit into memory.
 
-        Raises :class:`OptionError` if the memory limit is too small for any."""
+        Raises :class:`OptionError` if the memory limit is too small for any number of groups."""
         pad = _PAD * self._bytes_per_vertex
         if self._bytes < 4 * pad:
             given, least = (share / STORE_SHARE / 1e6 for share in (self._bytes, 4 * pad))

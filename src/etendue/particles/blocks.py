@@ -1,4 +1,4 @@
-"""Blocks of a file of particles, and how they are found again in a file that was cut off.
+"""Blocks of a file of particles, and their recovery from a file that was cut off.
 
 A file is a sequence of blocks. A block has 20 bytes, its head and its payload:
 
@@ -13,7 +13,8 @@ payload  bytes
 
 All numbers are little-endian. The first block is the header; its payload has the frames of primitives. The particles of
 a pass are chunks, followed by the block ``PASS``, which makes them valid. The index has the heads of all blocks; the
-last 16 bytes of a finished file are its place and ``ETPFINDX``. A file without them is read block by block.
+last 16 bytes of a finished file are the position of the index and ``ETPFINDX``. A file without them is read block by
+block.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MOST = 1 << 30
 
 @dataclass(frozen=True)
 class Block:
-    """A block in a file; ``start`` and ``end``: places of its payload."""
+    """A block in a file; ``start`` and ``end``: positions of its payload."""
 
     kind: bytes
     head: dict[str, Any]
@@ -55,14 +56,14 @@ class Block:
 
 
 def _write(file: BinaryIO, data: bytes) -> None:
-    """Write all bytes to a file without a buffer, which may take fewer at a time."""
+    """Write all bytes to an unbuffered file, whose ``write`` may take only some of them."""
     view = memoryview(data)
     while len(view):
         view = view[file.write(view) :]
 
 
 def write_block(file: BinaryIO, kind: bytes, head: dict[str, Any], payload: Sequence[bytes] = ()) -> Block:
-    """Append a block at the current place of a file without a buffer."""
+    """Append a block at the current position of an unbuffered file."""
     checksum = 0
     for part in payload:
         checksum = zlib.crc32(part, checksum)
@@ -75,8 +76,8 @@ def write_block(file: BinaryIO, kind: bytes, head: dict[str, Any], payload: Sequ
 
 
 def read_block(file: BinaryIO, size: int) -> Block | None:
-    """The block at the current place of a file of ``size`` bytes, without its payload; the file is then behind it.
-    ``None`` if it is not whole."""
+    """The block at the current position of a file of ``size`` bytes, without its payload; then the file is behind it.
+    ``None`` if it is incomplete or damaged."""
     prefix = file.read(_PREFIX.size)
     if len(prefix) < _PREFIX.size:
         return None
@@ -92,14 +93,14 @@ def read_block(file: BinaryIO, size: int) -> Block | None:
 
 
 def scanned(file: BinaryIO, size: int) -> Iterator[Block]:
-    """Whole blocks from the current place on, up to the index or the place where the file was cut off."""
+    """Complete blocks from the current position on, up to the index or the first damaged or incomplete block."""
     while (block := read_block(file, size)) is not None and block.kind != INDEX:
         yield block
 
 
 def whole_passes(file: BinaryIO, start: int, size: int) -> int:
-    """Ends of passes anywhere behind ``start``, where no block begins: a file that was cut off has none there, one
-    that is damaged has those of the passes behind the damage."""
+    """Number of ``PASS`` blocks anywhere behind ``start``, the end of the last readable pass. A file that was cut off
+    has none there; a damaged file has those of the passes behind the damage."""
     found = 0
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         place = data.find(PASS, start)

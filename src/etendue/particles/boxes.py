@@ -1,10 +1,10 @@
-"""Light paths in a scene that is cut into boxes: a process has the shapes of one box, and a path that leaves it becomes
-a record for the next.
+"""Light paths in a scene that is cut into boxes: a process has the shapes of one box, and a path that leaves the box
+becomes a record for the process of the next box.
 
-A ray is traced against the shapes that touch its box. A hit inside the box is its hit in the whole scene, since the
-boxes before it have had their turn; else the ray, unchanged, goes to the box behind the face by which it leaves. Random
-numbers are those of the path and its vertex, so the particles are those of the undivided scene. Rays that end in each
-other's boxes are the parameterisation of paths by voxels of [Leeson 2001, sec. 5.6.4] for whole boxes.
+A ray is traced against the shapes that touch its box. A hit inside the box is also the hit in the whole scene, since
+the ray has crossed all boxes before without a hit. Without a hit, the unchanged ray continues in the box behind the
+face by which it leaves. Random numbers depend on the path and the vertex only, so the particles are those of the
+undivided scene. This applies the parameterisation of paths by voxels of [Leeson 2001, sec. 5.6.4] to whole boxes.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from .walk import LightPath, ParticleStore, ParticleWalk
 
 #: Words of the record of a path.
 RECORD_WORDS = 16
-#: A shape touches a box that is nearer than this share of the scene's size: rays start off surfaces, and hits are
-#: rounded.
+#: A shape touches a box at less than this distance, relative to the scene's size plus largest coordinate: rays start at
+#: an offset from surfaces, and hits are rounded.
 _MARGIN = 1e-4
 _FAR = 3.4e38
 
 
 @dataclass(frozen=True)
 class BoxGrid:
-    """A scene cut by planes perpendicular to the axes. Boxes have the code of their place as numbers, and those at the
-    border reach to infinity. planes: the inner ones of each axis, ascending."""
+    """A scene cut by planes perpendicular to the axes. The number of a box is its code in :attr:`codes`; boxes at the
+    border extend to infinity. planes: the inner planes of each axis, ascending."""
 
     planes: tuple[tuple[float, ...], ...]
 
@@ -107,7 +107,7 @@ class PathStore:
         self._count = dr.zeros(mi.UInt32, 1)
 
     def append(self, s: BoxedPath, box: mi.UInt32, active: mi.Bool) -> None:
-        """Store paths that go on in ``box``, inside the walk. A path leaves a box once, so there is room for all."""
+        """Store paths that continue in ``box``, inside the walk. A path leaves a box once, so there is room for all."""
         slot = dr.scatter_inc(self._count, mi.UInt32(0), active)
         for k, packet in enumerate(_packets(s, box)):
             dr.scatter(self._data, packet, slot * (RECORD_WORDS // 4) + k, active)
@@ -117,7 +117,7 @@ class PathStore:
         dr.schedule(self._data, self._count)
 
     def rows(self) -> NDArray[np.uint32]:
-        """(n, ``RECORD_WORDS``), by path."""
+        """(n, ``RECORD_WORDS``), in the order of paths."""
         rows = np.asarray(self._data).view(np.uint32).reshape(-1, RECORD_WORDS)[: int(self._count[0])]
         return np.ascontiguousarray(rows[np.argsort(rows[:, 0], kind="stable")])
 
@@ -172,7 +172,7 @@ class BoxWalk(ParticleWalk):
         self._lower, self._upper = (mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in row)) for row in bounds)
         self._code = dr.opaque(mi.UInt32, self.box)
         self._leaving: PathStore | None = None
-        # Of the edge that is traced: whether it leaves the box, and for which.
+        # Set by `arrive` for `_edge`: whether the current edge leaves the box, and into which box.
         self._crossing, self._behind = mi.Bool(False), mi.UInt32(0)
 
     def carry(
@@ -198,7 +198,7 @@ class BoxWalk(ParticleWalk):
         return np.ascontiguousarray(rows[np.broadcast_to(np.asarray(active), (paths,))])
 
     def arrive(self, s: SubPath) -> WalkVertex:
-        """Trace the next edge as far as it is in the box."""
+        """Trace the next edge within the box."""
         vertex = super().arrive(s)
         end, self._behind = self._exit(s.ray)
         inside = vertex.valid & (vertex.si.t <= end)
@@ -211,11 +211,11 @@ class BoxWalk(ParticleWalk):
         before = replace(s)
         s = super()._edge(s, number, source, store)
         assert isinstance(s, BoxedPath)
-        # A ray starts off the surface, which may be in the box beside.
+        # A ray starts at an offset from the surface, perhaps in a neighbouring box.
         start = self.grid.of_points_on_device(s.ray.o)
         away = s.active & (start != self._code)
         s.active &= ~away
-        # One place where both are stored: a loop may count in an array once only.
+        # Both kinds are stored by one call: a loop may increment the counter at one place only.
         crossing = self._crossing
         self._leaving.append(dr.select(crossing, before, s), dr.select(crossing, self._behind, start), crossing | away)
         return s

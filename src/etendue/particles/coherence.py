@@ -1,4 +1,4 @@
-"""Which boxes of a scene light paths visit one after the other, and what a cache would make of it
+"""The sequence of boxes of a scene that light paths visit, and the misses of a cache of boxes
 [Leeson 2001, sec. 5.6.4]."""
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ def visits(particles: Particles, grid: BoxGrid) -> NDArray[np.int64]:
 
 
 def distinct_in_windows(boxes: NDArray[np.int64], size: int) -> Array:
-    """Different boxes among each ``size`` visits that follow each other, windows side by side."""
+    """Number of different boxes in each window of ``size`` consecutive visits; windows do not overlap."""
     rows = np.sort(boxes[: len(boxes) // size * size].reshape(-1, size), axis=1)
     return np.asarray(1.0 + (np.diff(rows, axis=1) != 0).sum(axis=1))
 
 
 def lru_misses(boxes: Sequence[int] | NDArray[np.int64], capacity: int) -> int:
-    """Visits to boxes that are not among the ``capacity`` last used ones."""
+    """Number of visits to boxes that are not among the ``capacity`` most recently visited ones."""
     held: OrderedDict[int, None] = OrderedDict()
     misses = 0
     for box in boxes:

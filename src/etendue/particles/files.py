@@ -31,7 +31,7 @@ T = TypeVar("T")
 
 
 def is_particle_file(path: PathLike) -> bool:
-    """Whether a file begins as one of particles does."""
+    """Whether a file begins like a file of particles."""
     try:
         with open(path, "rb") as file:
             return file.read(len(blocks.HEADER)) == blocks.HEADER
@@ -40,17 +40,17 @@ def is_particle_file(path: PathLike) -> bool:
 
 
 class ParticleFile(InNotebooks):
-    """The particles of a file. Heads are read when it is opened, particles when they are asked for.
+    """The particles of a file. Heads of blocks are read when the file is opened, particles on request.
 
-    A file that was cut off has the particles of its whole passes. Raises :class:`ParticleError` if there is no file, if
-    it is not of particles, or of another version.
+    A file that was cut off has the particles of its complete passes. Raises :class:`ParticleError` if there is no file,
+    if it is not a file of particles, or if its format has another version.
 
     Attributes
     ----------
     header: scene, fingerprints, seed, settings, codec and versions.
     surfaces: the shapes of the scene. counters: paths, particles and rays. passes: iterations.
-    is_finished: whether the run that wrote it ended, by its budget or on request. lost: whole passes behind a damaged
-    place, which cannot be read; there is a warning.
+    is_finished: whether the run that wrote the file ended, by its budget or on request. lost: number of complete passes
+    behind a damaged place, which cannot be read; a warning reports them.
     """
 
     def __init__(self, path: PathLike) -> None:
@@ -87,7 +87,7 @@ class ParticleFile(InNotebooks):
             file.seek(first.end)
             found = list(blocks.scanned(file, size)), {}
         every, self.ending = found
-        #: Where the last whole pass ends.
+        #: Position in the file where the last complete pass ends.
         self.end = first.end
         #: Chunks of particles, and the ends of passes.
         self.chunks: list[Block] = []
@@ -102,7 +102,7 @@ class ParticleFile(InNotebooks):
                 waiting, self.end = [], block.end
         self.is_finished = bool(self.ending.get("stopped_by"))
         self.size = size
-        #: Whole passes behind a damaged place, which cannot be read.
+        #: Complete passes behind a damaged place, which cannot be read.
         self.lost = 0 if self.ending else blocks.whole_passes(file, self.end, size)
         if self.lost:
             logger.warning(
@@ -124,14 +124,14 @@ class ParticleFile(InNotebooks):
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Bounds of the loss of all codecs that have packed the particles, see :attr:`Grid.bounds`; empty if nothing is
-        lost."""
+        """Bounds of the errors of all codecs that have packed the particles, see :attr:`Grid.bounds`; empty if they are
+        exact."""
         times = sum(Codec.parse(name).is_bounded for name in (self.header["codec"], *self.header.get("before", [])))
         return {name: times * bound for name, bound in self.grid.bounds.items()} if times else {}
 
     @property
     def has_paths(self) -> bool:
-        """Whether particles have the numbers of their paths: no codec has left them out."""
+        """Whether particles have the numbers of their paths, which the codec ``packed-no-paths`` leaves out."""
         names = (self.header["codec"], *self.header.get("before", []))
         return all(Codec.parse(name).layout != "packed-no-paths" for name in names)
 
@@ -171,8 +171,8 @@ class ParticleFile(InNotebooks):
         box: ArrayLike | None = None,
         passes: Collection[int] | None = None,
     ) -> Iterator[Particles]:
-        """As :meth:`read`, in parts of at most 65536 particles; ``passes``: only those of these iterations. Chunks
-        without such particles are not read.
+        """As :meth:`read`, in parts of at most 65536 particles; ``passes``: only particles of these iterations. Chunks
+        without selected particles are not read.
 
         Raises :class:`ParticleError` for a damaged chunk, and for shapes that do not exist."""
         return (part for _, part in self.parts_by_pass(shapes, box, passes))
@@ -183,7 +183,7 @@ class ParticleFile(InNotebooks):
         box: ArrayLike | None = None,
         passes: Collection[int] | None = None,
     ) -> Iterator[tuple[int, Particles]]:
-        """As :meth:`parts`, each with the number of its pass: pass and ``path`` together name a light path of the
+        """As :meth:`parts`, each with the number of its pass; pass and ``path`` together identify a light path of the
         file."""
         wanted = None if shapes is None else np.array([self.shape(name) for name in shapes], np.uint32)
         corners = _corners(box)
@@ -225,11 +225,11 @@ class ParticleFile(InNotebooks):
         return then(decode(block.head, payload, self.grid))
 
     def is_of(self, problem: Problem) -> bool:
-        """Whether the particles are of this scene; its sensors do not matter."""
+        """Whether the particles belong to this scene, whatever its sensors."""
         return bool(problem.light_fingerprint == self.header["light_fingerprint"])
 
     def require_scene(self, problem: Problem) -> None:
-        """Raise :class:`ParticleError` unless the particles are of this scene."""
+        """Raise :class:`ParticleError` unless the particles belong to this scene."""
         if not self.is_of(problem):
             raise ParticleError(
                 f"'{self.path}' has particles of another scene ('{self.header['scene']}'), or that has changed since; "
@@ -247,7 +247,7 @@ def _corners(box: ArrayLike | None) -> Array | None:
 
 
 def _may_have(head: dict[str, Any], wanted: NDArray[np.uint32] | None, corners: Array | None) -> bool:
-    """Whether a chunk can have a particle that is asked for."""
+    """Whether a chunk can contain a selected particle."""
     if wanted is not None and not any(shape in wanted for shape, _ in head["shapes"]):
         return False
     box = np.array(head["box"])

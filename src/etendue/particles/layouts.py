@@ -1,9 +1,9 @@
 """Packed records of particles of equal energy, as a thesis on Metropolis particle tracing lays them out.
 
-[Leeson 2001, sec. 5.7.3] Such particles have no power: all have the same, in one channel (there: at one wavelength). A
-count says how often a chain has repeated a particle. A record has a position (three floats, or two parameters of a
-surface), a tag of the surface, the count, for glossy surfaces a direction in two bytes, and the channel. Records on the
-film have a position there, a count and a channel.
+[Leeson 2001, sec. 5.7.3] Such particles store no power, since all have the same power in one channel (in the thesis, at
+one wavelength). A count says how often a chain has repeated a particle. A record has a position (three floats, or two
+parameters of a surface), a tag of the surface, the count, for glossy surfaces a direction in two bytes, and the
+channel. Records on the film have a position on the film, a count and a channel.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _MOST = 255
 
 
 def merged(particles: Particles) -> tuple[Particles, NDArray[np.int64]]:
-    """(particles without repetitions, how often each occurs in a row); the counts sum to the number of particles. Paths
-    and bounces do not make a difference. A particle with a count above 255 occurs again for the rest."""
+    """(particles without consecutive repetitions, how often each occurs); the counts sum to the number of particles.
+    Particles may differ in path and bounce. A particle with a count above 255 is stored again for the rest."""
     if len(particles) == 0:
         return particles, np.zeros(0, np.int64)
     rows = particles.rows[:, :13]
@@ -47,7 +47,7 @@ def merged(particles: Particles) -> tuple[Particles, NDArray[np.int64]]:
 
 
 def records(particles: Particles, kind: str, counts: ArrayLike = 1, channels: ArrayLike = 0) -> NDArray[Any]:
-    """Records of one of :data:`RECORDS`, but those of the film. ``counts``: 1 to 255; ``channels``: 0 to 255, for each
+    """Records of a kind of :data:`RECORDS` other than ``film``. ``counts``: 1 to 255; ``channels``: 0 to 255, for each
     particle or for all.
 
     A direction has 256 steps of its polar angle and of its azimuth. Raises :class:`ParticleError` for more than 256
@@ -72,7 +72,7 @@ def records(particles: Particles, kind: str, counts: ArrayLike = 1, channels: Ar
 
 
 def strips(of: NDArray[Any], buffer: int) -> Iterator[bytes]:
-    """Buffers of ``buffer`` bytes of records, each field by itself, one after the other."""
+    """Records in buffers of ``buffer`` bytes; in a buffer the values of each field are contiguous."""
     step = max(1, buffer // of.itemsize)
     for begin in range(0, len(of), step):
         part = of[begin : begin + step]

@@ -46,15 +46,16 @@ def columns_of(name: str) -> slice:
 
 @dataclass(frozen=True)
 class Particles(InNotebooks):
-    """Hits of light paths on surfaces. The sum of the power of those on a surface estimates its incident flux.
+    """Hits of light paths on surfaces. The summed power of the particles on a surface estimates its incident flux.
 
     Attributes
     ----------
     position: (n, 3) float32, in the scene's units.
     direction: (n, 3) float32, unit vector of flight, towards the surface.
-    power: (n, 3) float32, incident flux in W: red, green, blue. It contains the division by the number of paths.
+    power: (n, 3) float32, incident flux in W: red, green, blue; already divided by the number of paths.
     shape: (n,) uint32, index in ``scene.shapes()``.
-    primitive: (n,) uint32, triangle of a mesh; 0 for other shapes. In an instance, those of all shapes of its group.
+    primitive: (n,) uint32, triangle of a mesh; 0 for other shapes. In an instance, numbers count the primitives of all
+        shapes of its group.
     uv: (n, 2) float32, parameters on the primitive: the barycentric coordinates of the second and third vertex on a
         triangle, surface parameters of other shapes in [0, 1]^2.
     path: (n,) uint32, number of the light path within its pass.
@@ -111,7 +112,7 @@ class Particles(InNotebooks):
 
     @property
     def rows(self) -> Rows:
-        """The same as words."""
+        """These particles as :data:`Rows`."""
         result = np.empty((len(self), WORDS), np.uint32)
         for name in LAYOUT:
             result[:, columns_of(name)] = getattr(self, name).view(np.uint32).reshape(len(self), -1)

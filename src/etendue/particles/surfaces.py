@@ -1,4 +1,4 @@
-"""The shapes of a scene as particles see them: names, areas, and the frames of triangles and rectangles."""
+"""Data of the shapes of a scene that particles need: names, areas, and the frames of triangles and rectangles."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 class Surfaces:
     """The shapes of a scene, on the host.
 
-    names: a name for each; ids of the scene, or type and index. areas: in the scene's units squared, NaN for instances.
-    frames: (m, 9) float32, corner and two edges of the primitives of the shapes ``framed``, in their order, in the
+    names: the id of each shape in the scene, or its type and index. areas: in the scene's units squared, NaN for
+    instances.
+    frames: (m, 9) float32, corner and two edges of each primitive of the ``framed`` shapes, in their order, in the
     scene's units: a point is ``corner + u edge_1 + v edge_2``. boxes: (n, 6), lower and upper corner of each shape.
     """
 
     names: list[str]
     areas: Array
-    primitives: NDArray[np.int64]  #: of each shape
+    primitives: NDArray[np.int64]  #: number of primitives of each shape
     framed: NDArray[np.bool_]  #: shapes whose primitives have frames
     frames: NDArray[np.float32]
     boxes: Array
@@ -44,7 +45,7 @@ class Surfaces:
         return len(self.names)
 
     def shape_of(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The shapes of primitives by number."""
+        """The shapes of the primitives with these numbers."""
         place = np.searchsorted(self.first[self._order], numbers, side="right") - 1
         return np.asarray(self._order[place])
 
@@ -82,7 +83,7 @@ class SurfaceTable:
             corners = _frames(shape)
             names.append(graph.name(shape) or f"{graph.plugin_name(shape)} {index}")
             areas.append(_area(shape, corners) / scale**2)
-            # An instance has the triangles of its group.
+            # An instance has the primitives of its group.
             count = int(shape.effective_primitive_count()) if graph.plugin_name(shape) == "instance" else 1
             primitives.append(len(corners) if corners is not None else max(1, count))
             framed.append(corners is not None)
@@ -100,13 +101,13 @@ class SurfaceTable:
         )
         every = graph.shapes(problem.scene)
         most = max(map(_pointer, every), default=0) + 1  # a part of a scene may have no shapes
-        #: Index of a shape by the registry number of its pointer; 0 for shapes inside groups.
+        #: Index of a shape by the registry number of its pointer; 0 for the shapes inside groups.
         self.number_of_pointer = np.zeros(most, np.uint32)
         self.number_of_pointer[list(map(_pointer, shapes))] = np.arange(len(shapes))
-        #: Whether hits of a shape, by the same number, report barycentric coordinates.
+        #: By registry number: whether hits on a shape report barycentric coordinates.
         self.is_mesh_pointer = np.zeros(most, bool)
         self.is_mesh_pointer[list(map(_pointer, every))] = list(map(_is_mesh, every))
-        #: Number of the first primitive of a shape inside its group, by the same number; else 0.
+        #: By registry number: number of the first primitive of a shape within its group; 0 for shapes without a group.
         self.first_of_pointer = np.zeros(most, np.uint32)
         for group in (shape for shape in every if graph.plugin_name(shape) == "shapegroup"):
             members = [shape for shape in graph.below(group) if shape in every and shape is not group]
@@ -147,7 +148,7 @@ def _area(shape: mi.Shape, frames: Array | None) -> float:
     if frames is None:
         try:
             area = np.asarray(shape.surface_area(), np.float64).ravel()
-        except RuntimeError:  # instances and some curves do not say
+        except RuntimeError:  # instances and some curves have no area
             return float("nan")
         return float(area[0])
     sizes = np.linalg.norm(np.cross(frames[:, 3:6], frames[:, 6:9]), axis=1)

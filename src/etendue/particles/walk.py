@@ -28,7 +28,7 @@ from .surfaces import SurfaceTable
 
 #: Words of a stored particle: packets of four are written at once.
 _STORED = 16
-#: A roulette that decides by the throughput lets a path live with at most this probability.
+#: Roulette by the throughput lets a path survive with at most this probability.
 _LIVES = 0.95
 
 
@@ -37,14 +37,14 @@ class Keep(enum.Enum):
 
     ALL = "all"
     FIRST = "first"  #: the first on a surface with a diffuse or glossy part
-    ABSORBED = "absorbed"  #: that in which the path ends, with the flux that its surfaces absorb
+    ABSORBED = "absorbed"  #: the last, where the path ends, with the flux that the surface absorbs
 
 
 @dataclass(kw_only=True)
 class LightPath(SubPath):
     """Loop state, one lane a path."""
 
-    bounce: mi.UInt32  #: as ``depth``, without null surfaces
+    bounce: mi.UInt32  #: as ``depth``, but null surfaces do not count
     met: mi.Bool  #: the path has been scattered by a surface with a diffuse or glossy part
     nonfinite: mi.UInt32
 
@@ -88,7 +88,7 @@ class ParticleStore:
             dr.scatter(self._data, packet, first + k, active)
 
     def launch(self) -> None:
-        """Launch the walk's kernel, and all that is scheduled."""
+        """Launch the kernel of the walk, with everything that is scheduled."""
         dr.eval(self.wanted, self._data)
 
     @property
@@ -101,14 +101,14 @@ class ParticleStore:
         return in_path_order(self.numbered())
 
     def numbered(self) -> NDArray[np.uint32]:
-        """The particles in any order, each with the number of its vertex in one more column."""
+        """The particles in any order, each with the number of its vertex in an additional column."""
         rows = np.asarray(self._data).view(np.uint32).reshape(-1, _STORED)[: self.count]
         return rows[:, : WORDS + 1]
 
 
 def in_path_order(numbered: NDArray[np.uint32]) -> Rows:
     """Numbered particles as rows in the order of their paths."""
-    # By path and vertex: before and behind a null surface the bounce is the same.
+    # By path and vertex, not bounce, which is the same before and behind a null surface.
     order = np.argsort((numbered[:, WORDS - 2].astype(np.uint64) << np.uint64(32)) | numbered[:, WORDS])
     return np.ascontiguousarray(numbered[order, :WORDS])
 
@@ -163,7 +163,8 @@ class ParticleWalk(Walker):
             kept &= ~s.met
 
         scattered, _ = vertex.sample(source, arrived)
-        # Roulette keeps the largest channel of an absorbed path as it is, so that paths end with about equal power.
+        # For absorbed flux, roulette keeps the largest channel of a path unchanged, so that paths end with about equal
+        # power.
         whole = dr.max(incident) if self.keep is Keep.ABSORBED else mi.Float(self.lights.total_power)
         relative = s.throughput * scattered.weight / whole
         self.advance(s, vertex, scattered, source, roulette_by=(relative, 1.0))
@@ -185,8 +186,9 @@ class ParticleWalk(Walker):
 
 
 def _absorbed(incident: mi.Color3f, scattered: Scattered, relative: mi.Color3f, goes_on: mi.Bool) -> mi.Color3f:
-    """Flux that a path leaves where it ends: what scattering takes away, over the probability of the end, which is 1 at
-    the last edge. With roulette from the first hit on, its expected value is the flux that the surface absorbs."""
+    """Flux that a path deposits where it ends: the flux that scattering removes, divided by the probability of the end,
+    which is 1 at the last edge. With roulette from the first hit on, its expected value is the flux that the surface
+    absorbs."""
     ends = dr.select(goes_on, 1.0 - dr.minimum(dr.max(relative), _LIVES), 1.0)
     return dr.select(scattered.active, incident * (1.0 - scattered.weight) / ends, incident)
 

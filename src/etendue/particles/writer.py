@@ -1,4 +1,4 @@
-"""Files of particles: writing them pass by pass, and going on with a file that was cut off."""
+"""Files of particles: writing them pass by pass, and resuming a file that was cut off."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from .surfaces import Surfaces
 
 
 class ParticleWriter:
-    """Appends passes to a file. A pass is in the file when :meth:`add` returns, wholly or not at all.
+    """Appends passes to a file. A pass is in the file when :meth:`add` returns, completely or not at all.
 
-    ``file`` is open at the place ``end`` behind the ``known`` blocks of whole passes."""
+    ``file`` is open; ``end`` is the position behind the ``known`` blocks of complete passes."""
 
     def __init__(self, path: Path, file: Any, codec: Codec, surfaces: Surfaces, known: list[Block], end: int) -> None:
         self.path, self.codec = path, codec
@@ -33,7 +33,7 @@ class ParticleWriter:
 
     @classmethod
     def create(cls, path: PathLike, header: Mapping[str, Any], surfaces: Surfaces, codec: Codec) -> ParticleWriter:
-        """A new file. Raises :class:`OutputError` if it exists, or cannot be written."""
+        """Create a file. Raises :class:`OutputError` if it exists, or cannot be written."""
         path = Path(path)
         try:
             file = open(path, "x+b", buffering=0)  # noqa: SIM115 (closed by close)
@@ -51,9 +51,9 @@ class ParticleWriter:
 
     @classmethod
     def resume(cls, known: ParticleFile) -> ParticleWriter:
-        """Go on behind the last whole pass of a file, where what an interrupted pass left is removed.
+        """Continue behind the last complete pass of a file; the remains of an interrupted pass are removed.
 
-        Raises :class:`OutputError` if it cannot be written, if another process writes to it, or if it is damaged."""
+        Raises :class:`OutputError` if the file cannot be written, is damaged, or another process writes to it."""
         if known.lost:
             raise OutputError(
                 f"'{known.path}' is damaged, and to go on would remove {known.lost} whole passes behind the damage; "
@@ -72,7 +72,8 @@ class ParticleWriter:
         return cls(known.path, file, known.codec, known.surfaces, every, known.end)
 
     def add(self, iteration: int, rows: Rows, counters: Mapping[str, float], **more: Any) -> None:
-        """Write a pass; ``more``: further plain values for its end. If it raises, the file ends with the pass before.
+        """Write a pass; ``more``: further plain values for its last block. After an error the file ends with the
+        previous pass.
 
         Raises :class:`OutputError` if the disk is full, :class:`ParticleError` for rows of another scene."""
         written: list[Block] = []
@@ -101,9 +102,9 @@ class ParticleWriter:
         return sum(block.kind == blocks.PASS for block in self._blocks)
 
     def close(self, **ending: Any) -> None:
-        """Write the index, with plain values on how the run ended, and close the file.
+        """Write the index, with plain values about the end of the run, and close the file.
 
-        Raises :class:`OutputError` if the index cannot be written; the particles are in the file nevertheless."""
+        Raises :class:`OutputError` if the index cannot be written; the particles remain in the file."""
         try:
             self._file.seek(self._end)
             blocks.write_index(self._file, self._blocks, {"stopped_by": "", **ending})
@@ -125,7 +126,7 @@ class ParticleWriter:
         self.path.unlink(missing_ok=True)
 
     def _cut(self) -> None:
-        """Remove what is behind the last whole pass."""
+        """Remove everything behind the last complete pass."""
         with contextlib.suppress(OSError):
             self._file.seek(self._end)
         with contextlib.suppress(OSError):
@@ -133,7 +134,8 @@ class ParticleWriter:
 
 
 def _lock(path: Path, file: Any) -> None:
-    """Keep other processes from writing to a file until it is closed. Raises :class:`OutputError` if one does."""
+    """Keep other processes from writing to a file until it is closed. Raises :class:`OutputError` if another process
+    writes to it already."""
     try:
         fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

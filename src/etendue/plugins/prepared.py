@@ -14,7 +14,7 @@ from etendue.engine import fit_samples, settle_samples
 from etendue.methods import ImageMethod, ImageSettings
 from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_offsets
 
-#: Largest number of cached sensors and sample counts.
+#: Largest number of cached methods, one for each pair of sensor and sample count.
 _MOST = 16
 #: Seed of pilots. With the seed of the picture, cached methods would depend on the seed of the first picture.
 _PILOT_SEED = 0
@@ -25,7 +25,7 @@ class _Kept:
     sensor: mi.Sensor  #: referenced, so that its id() is not used again
     seen: Parameters  #: parameters of the sensor at the time of the preparation
     method: ImageMethod  #: prepared, unless each run needs a new preparation
-    carries_on: bool  #: whether it does; some methods carry on in some scenes
+    carries_on: bool  #: whether its passes depend on each other; for some methods this depends on the scene
 
 
 class Prepared:

@@ -74,7 +74,7 @@ def star_discrepancy_bounds(points: ArrayLike, cells: int = _MAX_CELLS) -> tuple
             f"{cells} cells are too few to bound a discrepancy in {d} dimensions; use an L2 discrepancy"
         )
     grids = [np.unique(np.concatenate([[0.0, 1.0], _quantiles(x[:, j], per_axis - 1)])) for j in range(d)]
-    # closed[k]: points <= the k-th corner; open[k]: points < it.
+    # closed[k]: share of points <= the k-th corner; inside[k]: share of points < it.
     closed = _cumulative(x, grids, "left") / n
     inside = _cumulative(x, grids, "right") / n
     volume = _volumes(grids)
@@ -91,7 +91,7 @@ def l2_discrepancy(points: ArrayLike, kind: str = "centered") -> float:
     """An L2 discrepancy of ``points``, (n, d) in [0, 1]; the time is that of ``n^2 d`` operations.
 
     kind: ``star`` [Warnock 1972], ``centered`` or ``wrap`` [Hickernell 1998], ``mixture`` [Zhou 2013]. ``star`` is
-    L2-star of ``scipy.stats.qmc.discrepancy``; its others are the squares of these.
+    L2-star of ``scipy.stats.qmc.discrepancy``; the others are the square roots of its values.
     """
     if kind not in _KINDS:
         raise PointSetError(f"there is no discrepancy '{kind}'; {suggest(kind, _KINDS)}")

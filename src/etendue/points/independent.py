@@ -70,8 +70,8 @@ class LatinHypercube(PointSet):
 
 
 def _hash(index: Words, keys: Keys, words: tuple[int, int], dimension: int) -> Words:
-    """Pseudo-random words from the index, two words of a seed and the dimension. A kernel computes the part that does
-    not depend on the dimension once."""
+    """Pseudo-random words from the index, two words of a seed and the dimension. The part that does not depend on the
+    dimension comes first, so that a kernel computes it once."""
     a = hash_mix(index + keys.like(index, words[0]))
     b = hash_mix((index ^ a) + keys.like(index, words[1]))
     x = a + (dimension * 0x9E3779B9 & 0xFFFFFFFF)
@@ -90,7 +90,7 @@ def _permuted(index: Words, size: int, words: list[Words], keys: Keys) -> Words:
     mask, half = (1 << bits) - 1, (bits + 1) // 2
 
     def once(x: Words) -> Words:
-        # Addition, multiplication by an odd number and xor with upper bits are bijections of words of so many bits.
+        # Addition, multiplication by an odd number and xor with upper bits are bijections of words of ``bits`` bits.
         for word in words:
             x = (x + word) & mask
             x = ((x ^ (x >> half)) * 0x21F0AAAD) & mask

@@ -31,7 +31,7 @@ class Weyl(BinaryPointSet):
 
     def _word(self, index: Words, dimension: int) -> Words:
         root = self._roots[dimension]
-        # The middle 32 bits of the product; those above are the integer part.
+        # The middle 32 bits of the product; the bits above are the integer part.
         return index * (root >> 32) + high_product(index, root & 0xFFFFFFFF)
 
 
@@ -46,7 +46,7 @@ class PiPowers(PointSet):
 
     def _coordinate(self, index: Words, dimension: int) -> Numbers:
         powers = _fractions_in_doubles()
-        last = len(powers) - 1  # a zero, as are all that follow
+        last = len(powers) - 1  # this power and all later ones are 0
         if is_host(index):
             return powers[np.minimum(index.astype(np.int64) + dimension, last)]
         float_type = dr.float32_array_t(type(index))

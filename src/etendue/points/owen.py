@@ -1,6 +1,6 @@
 """Owen-scrambled Sobol' points in one and two dimensions, padded: each random number of a path has its own sequence.
 
-The numbers of one dimension, by index, are the first one or two dimensions of Sobol's sequence, shuffled and with an
+The numbers of one dimension of a path are the first one or two dimensions of Sobol's sequence, shuffled and with an
 independent nested scrambling, both by hashing [Burley 2020; Owen 1995]. Any ``2^m`` consecutive indices from a multiple
 of ``2^m`` form a (0, m, 2)-net. Numbers of different dimensions or sequences are independent.
 """
@@ -17,7 +17,7 @@ from .words import Words
 
 
 def sobol_2d(reversed_index: Words) -> Words:
-    """Second dimension of Sobol's sequence as 32-bit fractions, from the bit-reversed index, which is the first.
+    """Second dimension of Sobol's sequence as 32-bit fractions, from the bit-reversed index, the first dimension.
 
     The generator matrix is Pascal's triangle modulo 2, which is a product of five sparse matrices.
     """
@@ -44,8 +44,8 @@ class OwenSobolSource:
     ----------
     sequence: UInt32 per lane; lanes with the same number share a sequence, as the samples of a pixel do.
     index: UInt32 per lane, the index of the path in its sequence; each (sequence, index, high) should occur once.
-    seed, role: as of ``IndependentSource``. Passes of a run continue the sequence by their indices.
-    high: UInt32 per lane, the upper word of the index; each 2^32 points have a different scrambling.
+    seed, role: as for ``IndependentSource``. Later passes of a run continue the sequence with larger indices.
+    high: UInt32 per lane, the upper word of the index; every 2^32 points have a different scrambling.
     """
 
     DRJIT_STRUCT: ClassVar = {"_key": object, "_reversed_index": object, "_lane_keys": tuple}

@@ -88,8 +88,8 @@ class PointSet(ABC):
         return [double(np.ascontiguousarray(column)) for column in self.block(n, first).T]
 
     def randomised(self, seed: int) -> PointSet:
-        """A randomisation of the set in which each point is uniform; different seeds are independent. By a random shift
-        unless the set has a better randomisation."""
+        """A randomisation of the set in which each point is uniform; different seeds are independent. A random shift
+        modulo 1, unless the set has a better randomisation."""
         return RandomShift(self, seed)
 
     @abstractmethod
@@ -126,7 +126,7 @@ class PointSet(ABC):
 
 
 class BinaryPointSet(PointSet):
-    """A point set whose coordinates are 32-bit fractions, so that the device can represent all bits."""
+    """A point set whose coordinates are 32-bit fractions, so that the device computes all their bits."""
 
     def lanes(self, index_type: type[dr.ArrayBase], n: int, first: int = 0) -> list[dr.ArrayBase]:
         """See :class:`PointSet`; computed on the device."""
@@ -140,7 +140,7 @@ class BinaryPointSet(PointSet):
 
     @abstractmethod
     def _word(self, index: Words, dimension: int) -> Words:
-        """The word of :meth:`_coordinate`."""
+        """The 32 bits of :meth:`_coordinate`."""
 
 
 class RandomShift(PointSet):
@@ -151,7 +151,7 @@ class RandomShift(PointSet):
     citations = ("Cranley1976",)
 
     def __init__(self, base: PointSet, seed: int = 0) -> None:
-        # Before the checks, whose messages contain the name.
+        # Set before the checks, whose messages contain the name.
         self.name = f"{base.name}+shift"  # type: ignore[misc]
         super().__init__(base.dimension, base.size)
         self.base = base

@@ -23,7 +23,7 @@ from etendue.core import on_device
 from .pointset import PointSet, PointSetError
 from .words import Numbers, Words, below_one, is_host, unit
 
-#: Bases are below this.
+#: Bases are below this number.
 _BASES_BELOW = 1 << 16
 #: Chunks of ``K`` digits are exact in a ``Float`` if ``base^(2 K - 1)`` is below this.
 _EXACT = 1 << 28

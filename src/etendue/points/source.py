@@ -23,11 +23,11 @@ _LEAST = 2.0**-25
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Which coordinate of a sequence serves for which random number of a path.
+    """Maps the random numbers of a path to the coordinates of a sequence.
 
-    first: component of vertex 0 to coordinate. later: component of a vertex j >= 1 to the offset among the ``each``
-    coordinates of that vertex. They follow those of vertex 0, up to the number ``limit``. All others are independent
-    numbers.
+    first: maps a component of vertex 0 to its coordinate. later: maps a component of a vertex j >= 1 to its offset
+    among the ``each`` coordinates of that vertex, which follow those of the vertices before it. Coordinates are below
+    ``limit``; all other random numbers are independent.
     """
 
     first: Mapping[int, int]
@@ -36,7 +36,7 @@ class Coordinates:
     limit: int
 
     def of(self, vertex: dr.ArrayBase | int, component: int) -> dr.ArrayBase | int | None:
-        """The coordinate, perhaps at or above ``limit``; ``None``: an independent number."""
+        """The coordinate, which may be ``limit`` or above; ``None`` for an independent number."""
         if isinstance(vertex, int) and vertex == 0:
             return self.first.get(component)
         offset = self.later.get(component)
@@ -46,18 +46,19 @@ class Coordinates:
 class RadicalSource:
     """A :class:`SampleSource` of Halton's sequence or Hammersley's points [Halton 1960; Hammersley 1960].
 
-    Coordinate d has prime d, so the first coordinates, of small primes, should be those that matter most: pairs of
-    large primes are correlated among few points [Leeson 2001, sec. 5.6.3]. Every number is uniform over seeds.
+    Coordinate d uses prime d. The first coordinates, with small primes, should serve the most important random numbers,
+    since pairs of coordinates with large primes are correlated for few points [Leeson 2001, sec. 5.6.3]. Over seeds,
+    every number is uniform.
 
     Parameters
     ----------
-    sequence, index, high: as of :class:`OwenSobolSource`; lanes with the same sequence have the same randomisation.
-    seed, role, iteration: of the randomisation.
-    coordinates: of the random numbers.
+    sequence, index, high: as for :class:`OwenSobolSource`; lanes with the same sequence have the same randomisation.
+    seed, role, iteration: determine the randomisation.
+    coordinates: the coordinates of the random numbers.
     digits: ``False`` shifts each coordinate modulo 1 [Cranley 1976]. ``True`` maps digit a at place j to
         ``(m_j a + s_j) mod b`` with random m_j, s_j for each place.
-    size: number of points of Hammersley's set, whose coordinate 0 is ``index / size`` and d has prime d - 1; ``None``
-        for Halton's sequence.
+    size: number of points of Hammersley's set, whose coordinate 0 is ``index / size`` and whose coordinate d uses prime
+        d - 1; ``None`` for Halton's sequence.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class RadicalSource:
         self._even = None
         bases = np.array(primes(coordinates.limit), np.uint32)
         if size is not None:
-            bases = np.concatenate([[2], bases[:-1]]).astype(np.uint32)  # that of coordinate 0 is not used
+            bases = np.concatenate([[2], bases[:-1]]).astype(np.uint32)  # the base of coordinate 0 is not used
             whole = float32(uint32(index)) + float32(uint32(high)) * 2.0**32
             self._even = whole * dr.opaque(float32, 1.0 / size)
         self._bases = on_device(uint32, bases)
@@ -117,7 +118,7 @@ class RadicalSource:
         return _wrapped(x + to_unit_float(seed))
 
     def _scrambled(self, base: dr.ArrayBase, seed: dr.ArrayBase, active: dr.ArrayBase) -> dr.ArrayBase:
-        """The radical inverse with mapped digits, those beyond the index's, which are zero, included."""
+        """The radical inverse with mapped digits, including the zero digits beyond those of the index."""
         float32 = dr.float32_array_t(type(base))
         magic, inverse = _reciprocal(base), 1.0 / float32(base)
 

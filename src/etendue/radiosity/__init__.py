@@ -1,7 +1,7 @@
-"""Radiosity: lines through patches, form factors, solutions, and what others can do with them.
+"""Radiosity: lines through patches, form factors, solutions, and their files and lightmaps.
 
-Patches, their meshes and maps are of :mod:`etendue.surfaces`, files of glTF of :mod:`etendue.formats`; what radiosity
-takes of them is here, too.
+Names of :mod:`etendue.surfaces` (patches, meshes, maps) and :mod:`etendue.formats` (glTF) that radiosity uses are
+exported here, too.
 """
 
 from importlib import import_module
@@ -224,8 +224,8 @@ __all__ = [
 if not TYPE_CHECKING:
 
     def __getattr__(name):
-        """Names that were here before pictures moved to :mod:`etendue.jobs`, above this room, which it may not import:
-        looked up by those who ask for them."""
+        """Names that have moved to :mod:`etendue.jobs`. This package may not import that module, which is above it, so
+        they are looked up on access."""
         if name in ("PICTURE_FILES", "picture"):
             return getattr(import_module("etendue.jobs"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -40,7 +40,7 @@ from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
 from .solvers.shot import SEQUENCES, FirstShot, Shot, ShotSums, small_emitters
 
-#: Rays of a first shot per segment. They take half the time of casting, and leave half of the error to the lines.
+#: Rays of a first shot per segment. They take half the time of casting; half of the error then comes from the lines.
 RAYS_PER_SEGMENT = 1 / 4
 #: Batches of segments, whose variance gives errors.
 _BATCHES = 16
@@ -48,7 +48,7 @@ _BATCHES = 16
 REPLICATES = 8
 #: Smallest number of passes from which an error is estimated; two would suffice, with a large variance.
 _LEAST_PASSES = 16
-#: Number of sums over all segments for counts and for the error of a solution; the residual of a solution.
+#: Number of sums over all segments for counts and for the error of a solution; tolerance of a solution's residual.
 _COUNTING, _RESIDUAL = 3, 1e-6
 #: Seconds per local ray, and seconds per segment to find the segments that need a weight because of local rays.
 _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
@@ -96,7 +96,7 @@ class LineCasting:
     sequence with as many lines.
 
     settings: see :class:`CastingSettings`. most: the number of bundles at which the budget ends; the last pass may have
-    fewer than the others. :meth:`go_on` continues such a measurement.
+    fewer bundles than the others. :meth:`go_on` continues a measurement whose last pass is incomplete.
     """
 
     name: ClassVar[str] = "global-lines"
@@ -117,7 +117,7 @@ class LineCasting:
         self.goal, self.most = goal, most
         self._shot: Shot | None = None
         self._stream: _Stream | None = None
-        #: First and number of the bundles that an incomplete pass has left out; the pass after it casts them.
+        #: First index and number of the bundles that an incomplete pass has left out; the next pass casts them.
         self.owed = 0, 0
         # Seconds and segments of the timed sums, and the number of passes at the last of them.
         self._timing, self._timed = np.zeros(2), 0
@@ -173,7 +173,7 @@ class LineCasting:
         if self.most is not None and done > self.most:
             raise CheckpointError(f"the checkpoint has {done} bundles, more than {self.most}")
         passes, size = measurement.iterations, self.samples_per_iteration
-        is_whole = passes.next_iteration() == len(passes)  # else another run, on a cluster, has left passes out
+        is_whole = passes.next_iteration() == len(passes)  # false if a run on a cluster has skipped passes
         self.owed = (done, size * len(passes) - done) if is_whole else (0, 0)
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
@@ -221,7 +221,7 @@ class LineCasting:
         return self._error.square(record, lambda: self._lines(measurement), self.shot(measurement))
 
     def finish_seconds(self, measurement: Measurement) -> float:
-        """Estimated seconds to make segments and a solution from ``measurement``; see ``core.Method``."""
+        """Estimated seconds to compute segments and a solution from ``measurement``; see ``core.Method``."""
         record = measurement.records[_SEGMENTS]
         made, passes = len(record), record.passes
         if len(passes) >= 2 * self._timed:
@@ -238,7 +238,7 @@ class LineCasting:
         seconds, segments = self._timing
         return float(sums * seconds / max(segments, 1) * made + mixing)
 
-    # ------------------------------------------------------------------ what was cast
+    # ------------------------------------------------------------------ results
 
     def bundles(self, measurement: Measurement) -> int:
         """Number of bundles that were cast."""
@@ -250,7 +250,7 @@ class LineCasting:
         segments = self._lines(measurement)
         if self._options.local_rays:
             points = OwenSobol(4, seed=seed_key(self._seed, "local rays", 0)[0])
-            scene = self.__dict__.get("_scene")  # that of a shot, if there is one
+            scene = self.__dict__.get("_scene")  # the scene of the shot, if one was built
             segments = with_local_rays(segments, scene, points=points)
         warn_of_faults(segments)
         return segments
@@ -268,9 +268,9 @@ class LineCasting:
         return self._shot.result(known + self._shot.light(first, max(missing, 0)))
 
     def memory(self, matrix: bool = False, in_files: bool = False) -> int:
-        """Number of bundles whose segments fit into the memory that is free now.
+        """Number of bundles whose segments fit into the free memory.
 
-        matrix: form factors must fit as well. in_files: segments lie in the files of a record and take no memory.
+        matrix: form factors must fit as well. in_files: segments are in the files of a record and take no memory.
         """
         free, each = free_memory(), float(self.engine.expected(1).sum()) / 2
         stored = 0 if in_files else _SEGMENT_BYTES
@@ -293,7 +293,7 @@ class LineCasting:
             self._stream.close()
             self._stream = None
 
-    # ------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------ internals
 
     @cached_property
     def _scene(self) -> RayScene:
@@ -362,7 +362,7 @@ class _Stream:
         self._chunks, self.next_pass = chunks, iteration
 
     def take(self) -> Pairs:
-        """Those of the next pass."""
+        """The segments of the next pass."""
         chunk = next(self._chunks)
         self.next_pass += 1
         return chunk

@@ -22,7 +22,7 @@ Index = NDArray[np.int32] | NDArray[np.int64]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def gather(pairs: Pairs, values: Array, sums: Array) -> None:
-    """Add to ``sums`` (n + 2, c) of each end of a segment the ``values`` (n + 2, c) of the other end."""
+    """For each segment, add the ``values`` (n + 2, c) of each end to the ``sums`` (n + 2, c) of the other end."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
         for c in range(values.shape[1]):
@@ -41,7 +41,7 @@ def gather_one(pairs: Pairs, values: Array, sums: Array) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_ends(pairs: Pairs, counts: NDArray[np.int64]) -> None:
-    """Add to ``counts`` (n + 2, 3) of each end: segments, those to the sky, and those to dark."""
+    """Add to ``counts`` (n + 2, 3) of each end: all segments, segments to the sky, and segments to dark."""
     sky = len(counts) - 2
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -55,7 +55,7 @@ def count_ends(pairs: Pairs, counts: NDArray[np.int64]) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_rows(pairs: Pairs, patches: int, rows: Index) -> None:
-    """Add to ``rows`` (n,) the segments between patches whose smaller number is that row's."""
+    """Add to ``rows[i]`` (n,) the number of segments between patches whose smaller index is i."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
         if i < patches and j < patches:
@@ -64,7 +64,7 @@ def count_rows(pairs: Pairs, patches: int, rows: Index) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fill_rows(pairs: Pairs, patches: int, ends: Index, columns: Index) -> None:
-    """Write the larger patch index of each such segment to its row of ``columns``, at the positions ``ends``."""
+    """Write the larger patch index of each of these segments to its row of ``columns``, at the positions ``ends``."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
         if i < patches and j < patches:
@@ -116,7 +116,7 @@ def multipath(pairs: Pairs, reflectance: Array, per_line: Array, unshot: Array, 
 def gauss_seidel(
     starts: Index, columns: Index, data: Array, reflectance: Array, known: Array, radiosity: Array
 ) -> None:
-    """One sweep over a CSR matrix F: each row of ``radiosity`` (n, c) at once becomes ``known + reflectance F B``."""
+    """One sweep over a CSR matrix F: each row of ``radiosity`` (n, c) in turn becomes ``known + reflectance F B``."""
     sums = np.empty(radiosity.shape[1])
     for i in range(len(radiosity)):
         sums[:] = 0.0

@@ -24,11 +24,11 @@ def lightmap(
 ) -> Lightmap:
     """A texture of (width, height) ``size`` with the radiosity, or the irradiance, of the surfaces of the mesh.
 
-    Texels are filled as in :func:`lightmap_of`. Renderers multiply irradiance by the colour of the surface, so that
-    textures stay sharp.
+    Texels are filled as in :func:`lightmap_of`. Renderers multiply an irradiance by the colour of the surface, so the
+    textures of surfaces stay sharp.
 
     Raises :class:`RadiosityError` unless there are one or three channels, and :class:`SurfaceError` if triangles
-    overlap in the texture or leave the unit square, or if there are no patches at the mesh.
+    overlap in the texture or leave the unit square, or if no patches lie on the mesh.
     """
     check_colours(solution)
     if quantity not in ("radiosity", "irradiance"):

@@ -29,7 +29,7 @@ def compiled(loops: str = "kernels") -> ModuleType:
 
 
 def threads() -> int:
-    """Threads to use: as many as Dr.Jit does (:func:`etendue.core.set_threads`)."""
+    """Number of threads, the same as that of Dr.Jit (:func:`etendue.core.set_threads`)."""
     return max(int(dr.thread_count()), 1)
 
 
@@ -37,15 +37,15 @@ def threads() -> int:
 def _pool(count: int) -> ThreadPoolExecutor:
     """A persistent thread pool.
 
-    A separate pool for each stream would be shut down with the stream, and the garbage collector may close an abandoned
-    stream at any time, also in a thread of a pool, which could deadlock."""
+    A separate pool for each stream would be shut down with the stream. The garbage collector may close an abandoned
+    stream at any time, even in a thread of that pool, which could deadlock."""
     return ThreadPoolExecutor(count, thread_name_prefix="radiosity")
 
 
 def in_order(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
     """Results of parallel tasks, in the order of the tasks; a few tasks run ahead of the consumer.
 
-    Tasks must not use this themselves: they would wait for their own threads.
+    Tasks must not call this function: they would wait for their own threads.
     """
     count = threads()
     pool, waiting = _pool(count), deque[Future[T]]()

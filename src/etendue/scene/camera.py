@@ -26,9 +26,9 @@ Point = tuple[float, float, float]
 class Camera:
     """Position, view direction and field of view of a perspective or thin-lens sensor, in world space.
 
-    ``origin`` and ``target`` must be given together; without them the scene's are kept. ``up`` is the direction that is
-    up in the picture. ``fov`` is the vertical field of view of the whole film in degrees; without it the scene's is
-    kept. Raises :class:`OptionError` for invalid values.
+    ``origin`` and ``target`` must be given together; without them the scene's position and direction are kept. ``up``
+    is the direction that is up in the picture. ``fov`` is the vertical field of view of the whole film in degrees;
+    without it the scene's field of view is kept. Raises :class:`OptionError` for invalid values.
     """
 
     origin: Sequence[float] | None = None
@@ -58,7 +58,7 @@ class Camera:
         return {k: v for k, v in dataclasses.asdict(self).items() if v is not None}
 
     def move_sensors(self, state: mi.parser.ParserState) -> None:
-        """Change every movable sensor of a parsed scene; only the one that is rendered matters."""
+        """Move every movable sensor of a parsed scene; only the sensor that is rendered matters."""
         import mitsuba as mi
 
         for node in state.nodes:

@@ -1,6 +1,6 @@
 """The capability check: whether the methods can render a scene correctly, before the first ray.
 
-Anything else raises one error that names the element and says what to use instead; nothing is approximated silently.
+An unsupported element raises an error that names it and says what to use instead; nothing is approximated silently.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _EMITTERS = (
     "sunsky",
     "timed_sunsky",
 )
-#: Shapes besides meshes. Not curves: only rays from outside hit them, so paths are not reversible.
+#: Shapes besides meshes. Curves are missing: only rays from outside hit them, so paths are not reversible.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
 #: Shapes that may emit: points on them can be sampled uniformly by area.
 _LAMPS = ("rectangle", "disk", "sphere", "cylinder")

@@ -28,14 +28,14 @@ _PYTHON_EMITTERS = ("focusarea",)
 
 #: A change of Mitsuba's parsed scene, before its objects are built.
 Change = Callable[["mi.parser.ParserState"], None]
-#: What writes a file, by its path.
+#: Functions that write files, by path.
 _Writing = dict[Path, Callable[[Path], None]]
 
 
 @dataclass(frozen=True)
 class LightEdits:
-    """Lights that are removed from a scene, by their number in its description, and dictionaries of plugins that are
-    added, under their ``id`` if they have one that is free."""
+    """Changes to the lights of a scene. ``removed``: numbers of lights in its description; ``added``: dictionaries of
+    plugins, each added under its ``id``, with a suffix if the scene has that id already."""
 
     removed: frozenset[int] = frozenset()
     added: tuple[Mapping[str, Any], ...] = field(default=())
@@ -44,7 +44,7 @@ class LightEdits:
         return bool(self.removed or self.added)
 
     def __call__(self, state: mi.parser.ParserState) -> None:
-        """Apply to a parsed scene."""
+        """Apply the changes to a parsed scene."""
         for number, (owner, key, _) in enumerate(list(_emitters(state))):
             if number in self.removed:
                 del (state.root if owner is None else owner).props[key]
@@ -57,9 +57,9 @@ class LightEdits:
 
 
 def described_lights(source: Any, parameters: Mapping[str, Any] | None = None) -> list[str]:
-    """A name for each light in a scene's description: its plugin, and its id or that of the shape that it is on.
+    """A name for each light in a scene's description: its plugin, and its id or, if it is on a shape, the shape's id.
 
-    Raises :class:`SceneError` for a loaded scene, and for one that cannot be parsed.
+    Raises :class:`SceneError` for a loaded scene, and for a scene that cannot be parsed.
     """
     from .loading import _parse
 
@@ -104,13 +104,12 @@ def scene_xml(
     size: Size | None = None,
     folder: Path | None = None,
 ) -> str:
-    """The XML of a scene after a ``change``, its film of another ``size`` if one is given; names of files in it are
-    absolute.
+    """The XML of a scene after a ``change``, with a film of ``size`` if that is given; file names in it are absolute.
 
-    What the scene has in memory, meshes of bundled scenes (:class:`MeshDescription`) and bitmaps, is written to
-    ``folder``, which is made for it. Raises :class:`SceneError` for a loaded scene, for one with other objects in
-    memory, or with any of them without a ``folder``, and for one that cannot be parsed; :class:`OutputError` if a file
-    cannot be written.
+    Objects in memory, meshes of bundled scenes (:class:`MeshDescription`) and bitmaps, are written to ``folder``, which
+    is created if needed. Raises :class:`SceneError` for a loaded scene, for other objects in memory, for any objects in
+    memory without a ``folder``, and for a scene that cannot be parsed; :class:`OutputError` if a file cannot be
+    written.
     """
     import mitsuba as mi
 
@@ -131,7 +130,7 @@ def scene_xml(
             why = re.sub(r"\s+", " ", str(error)).strip()
             raise SceneError(f"the scene {name} cannot be written as XML: {why}") from error
     for file, write in writing.items():
-        with contextlib.suppress(OSError):  # that the folder cannot be made is told by writing to it
+        with contextlib.suppress(OSError):  # writing to the folder reports the failure
             file.parent.mkdir(exist_ok=True)
         with replacing(file) as part:
             write(part)
@@ -139,8 +138,8 @@ def scene_xml(
 
 
 def _with_names(text: str, state: mi.parser.ParserState) -> str:
-    """XML in which the elements of the scene have their ids. Mitsuba writes only those that are referred to, and shapes
-    without one have another name whenever the file is read."""
+    """XML in which the elements of the scene have their ids. Mitsuba writes only ids that are referred to, and gives
+    shapes without an id another name whenever the file is read."""
     import mitsuba as mi
 
     below = read_properties(state.root.props).values()
@@ -156,7 +155,7 @@ def _with_names(text: str, state: mi.parser.ParserState) -> str:
 
 
 def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writing:
-    """Let plugins with a bitmap in memory read a file in ``folder``; returns what writes the files."""
+    """Replace bitmaps in memory by files in ``folder``; returns the functions that write the files."""
     import mitsuba as mi
 
     writing: _Writing = {}
@@ -182,7 +181,7 @@ def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writ
 
 
 def _write_bitmap(bitmap: mi.Bitmap, is_raw: bool, path: Path) -> None:
-    """Write a bitmap as PNG, or as OpenEXR, as linear as the plugin takes it: one that is ``raw`` stays as it is."""
+    """Write a bitmap as PNG, or as OpenEXR with the linear values that the plugin uses; ``raw`` values are kept."""
     import mitsuba as mi
 
     if path.suffix == ".png":
@@ -195,7 +194,7 @@ def _write_bitmap(bitmap: mi.Bitmap, is_raw: bool, path: Path) -> None:
 
 
 def _in(folder: Path | None, name: str, what: str) -> Path:
-    """The place of a file for what a scene has in memory."""
+    """The path of the file for an object that a scene has in memory."""
     if folder is None:
         raise SceneError(f"the scene has {what} in memory, which XML cannot hold; give a folder for its files")
     return folder.absolute() / re.sub(r"[^\w.-]", "_", name)
@@ -220,7 +219,7 @@ def _give_types(state: mi.parser.ParserState) -> None:
 def _described(
     source: Any, parameters: Mapping[str, Any] | None, folder: Path | None
 ) -> tuple[str, Path | None, mi.parser.ParserState, _Writing]:
-    """(name, file, parsed description, what writes the meshes that it reads from ``folder``) of a scene."""
+    """(name, file, parsed description, functions that write its meshes to ``folder``) of a scene."""
     from .loading import _parse
 
     found = _locate(source)
@@ -238,7 +237,7 @@ def _described(
 
 
 def _locate(source: Any) -> Any:
-    """What the parser reads of a scene. Raises :class:`SceneError` for one that is loaded."""
+    """The file, bundled scene or dictionary that the parser reads. Raises :class:`SceneError` for a loaded scene."""
     from .loading import _is_loaded, locate
 
     use_variant()
@@ -260,7 +259,7 @@ def _name_absolutely(state: mi.parser.ParserState) -> None:
 
 
 def _emitters(state: mi.parser.ParserState) -> Iterator[tuple[mi.parser.SceneNode | None, str, mi.parser.SceneNode]]:
-    """(shape, property, node) of the lights of a scene: those on no shape, then those of its shapes."""
+    """(shape, property, node) of the lights of a scene: first lights without a shape, then lights on shapes."""
     import mitsuba as mi
 
     shapes = []

@@ -23,10 +23,10 @@ _IGNORED = {"silhouette_sampling_weight", "allow_thread_reordering"}
 
 
 def fingerprint(scene: mi.Scene, sensor: mi.Sensor | None, extra: str = "") -> str:
-    """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene`` and of ``sensor``, if it is
-    not ``None``.
+    """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene``, and of ``sensor`` if
+    that is given.
 
-    ``extra`` is hashed as well: properties that the loader has read and the loaded scene does not report. Sampler and
+    ``extra`` is hashed as well: properties that the loader reads but the loaded scene does not report. Sampler and
     sample count are excluded.
     """
     digests: dict[mi.Object, bytes] = {}

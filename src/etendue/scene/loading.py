@@ -59,11 +59,12 @@ def load(
     ``source`` is the path of a Mitsuba XML file or the name of a bundled scene (see :func:`locate`), a
     :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width, height) replaces the film's
     size, and a crop window keeps its proportions; field of view and ``fov_axis`` have the same meaning as in a file
-    with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
-    is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
-    ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error. ``change`` (as :class:`LightEdits`) changes the parsed scene before
-    its objects are built; elements that look alike are then not merged.
+    with that size (a loaded scene does not report its ``fov_axis``: its horizontal field of view is kept). A loaded
+    scene is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
+    ``parameters`` gives values to ``$variables`` of an XML file. ``memory`` limits what a method stores, in bytes. The
+    scene's integrator is reported, not built. Without ``check`` unsupported elements raise no error. ``change`` (such
+    as :class:`LightEdits`) changes the parsed scene before its objects are built; equivalent elements and meshes are
+    then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.

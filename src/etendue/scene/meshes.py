@@ -20,7 +20,7 @@ Faces = NDArray[np.int64]
 @dataclass(frozen=True)
 class MeshDescription:
     """A mesh of a bundled scene before it is built: (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3)
-    normals; ``emitter``: radiance of a mesh that is a light. Kept, because a built mesh cannot be written as XML."""
+    normals; ``emitter``: radiance of a mesh that is a light. A built mesh cannot be written as XML."""
 
     name: str
     points: Points
@@ -65,7 +65,7 @@ class MeshDescription:
 
 
 def cuboids(lower: Points, upper: Points) -> tuple[Points, Faces]:
-    """Boxes with these corners, (n, 3) each, as one mesh whose faces look outwards."""
+    """Boxes with these corners, (n, 3) each, as one mesh whose faces point outwards."""
     corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
     points = np.where(corner[None], np.asarray(upper)[:, None], np.asarray(lower)[:, None])
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))

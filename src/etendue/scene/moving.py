@@ -27,8 +27,8 @@ Described: TypeAlias = Path | BundledScene | Mapping[str, Any]
 _MESH_FILES = ("ply", "obj", "serialized")
 _SHAPES = (*_MESH_FILES, "rectangle", "cube", "disk", "sphere", "cylinder", "sdfgrid", "instance")
 _GROUPS = ("shapegroup", "merge")
-_LAMPS = ("point", "spot")  #: of an intensity in watts per steradian
-#: Parameters of sensors that are lengths, with the defaults of those that every sensor has.
+_LAMPS = ("point", "spot")  #: lights with an intensity in watts per steradian
+#: Parameters of sensors that are lengths, and the defaults of the parameters that every sensor has.
 _LENGTHS = ("near_clip", "far_clip", "focus_distance", "aperture_radius")
 _DEFAULTS = {"near_clip": 1e-2, "far_clip": 1e4}
 
@@ -43,7 +43,7 @@ def moved(
     state: mi.parser.ParserState,
 ) -> tuple[mi.Scene, RenderSpace]:
     """The scene of the parsed ``state`` in ``space``. ``scene`` is the same scene without transformation; it is
-    returned, with a warning, if something in it cannot be moved."""
+    returned, with a warning, if an element cannot be moved."""
     import mitsuba as mi
 
     why = _obstacle(state, scene)
@@ -136,7 +136,7 @@ def _move_shape(props: mi.Properties, space: RenderSpace) -> None:
     import mitsuba as mi
 
     matrix = _matrix(props)
-    # Positions that single precision would round go into the transform.
+    # The transform takes positions that single precision would round.
     values = read_properties(props)
     match props.plugin_name():
         case "sphere" if "center" in values:
@@ -223,7 +223,7 @@ def _lamps(scene: mi.Scene) -> list[mi.Emitter]:
 
 
 def _fixed(built: mi.Object) -> str | None:
-    """The part of an object from a dictionary that has a position or a length."""
+    """The part of a built object of a dictionary that has a position or a length; ``None`` if there is none."""
     import mitsuba as mi
 
     for item in below(built):

@@ -25,7 +25,7 @@ def take_integrator(state: mi.parser.ParserState) -> tuple[str, int, dict[str, A
 
     root = state.root
     for key, value in read_properties(root.props).items():
-        if isinstance(value, mi.Integrator):  # a dictionary may hold a built one
+        if isinstance(value, mi.Integrator):  # a dictionary may hold a built integrator
             del root.props[key]
             return built_integrator(value)
         if not isinstance(value, mi.Properties.ResolvedReference):
@@ -138,7 +138,7 @@ def merge_meshes(state: mi.parser.ParserState) -> None:
 
 
 def name_shapes(state: mi.parser.ParserState) -> None:
-    """Give the shapes of a parsed scene that have no id one by their order: ``shape 1`` is the first shape."""
+    """Give ids by order to the shapes of a parsed scene that have none: ``shape 1`` is the first shape."""
     import mitsuba as mi
 
     children = _children(state.root, mi.ObjectType.Shape, state)
@@ -150,8 +150,8 @@ def name_shapes(state: mi.parser.ParserState) -> None:
 
 
 def keep_shapes(state: mi.parser.ParserState, wanted: Collection[str]) -> None:
-    """Remove all shapes from a parsed scene but those with an id in ``wanted``, those that emit or carry a sensor, and
-    groups, which their instances need."""
+    """Remove all shapes from a parsed scene except shapes with an id in ``wanted``, shapes that emit or carry a sensor,
+    and groups, which their instances need."""
     import mitsuba as mi
 
     for key, node in _children(state.root, mi.ObjectType.Shape, state):

@@ -1,4 +1,4 @@
-"""Parts of a scene: some of its shapes, for processes that do not load the whole."""
+"""Parts of a scene: some of its shapes, for processes that do not load the whole scene."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from .problem import Problem
 
 
 def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, Any] | None = None) -> Problem:
-    """Load a scene without most of its shapes: only those with ids in ``shapes``, those that emit and shape groups are
-    built, and their files read. Errors as :func:`load`."""
+    """Load some shapes of a scene: only shapes with ids in ``shapes``, shapes that emit and shape groups are built, and
+    only their files are read. Errors as :func:`load`."""
     use_variant()
     import mitsuba as mi
 
@@ -28,13 +28,13 @@ def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, 
     with _resolving(path), _mitsuba_errors(name):
         integrator, depth, options = take_integrator(state)
         scene = mi.parser.instantiate(config, state)
-    # In the coordinates of the whole scene, whatever suits the part.
+    # In the coordinates of the whole scene, not in a render space of the part.
     return _problem(scene, _sensor(scene, 0, name), integrator, depth, options, name, None, "", check=False)
 
 
 def unmerged(state: Any) -> None:
-    """A change of :func:`load`: the shapes of a changed scene are not merged, so that they keep their names and order,
-    and those without a name get one."""
+    """A ``change`` for :func:`load`: the shapes of a changed scene are not merged, so that they keep their names and
+    order; shapes without a name get one."""
     name_shapes(state)
 
 

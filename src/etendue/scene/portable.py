@@ -87,7 +87,7 @@ def _of_file(path: Path, parameters: Mapping[str, Any]) -> PortableScene:
         if text not in named.values():
             named[os.path.relpath(text, path.parent.absolute())] = text
     inside = {name for name in named if not os.path.isabs(name)}
-    # Names that lead out of the scene's folder stay within that of all files.
+    # The scene is placed so deep that names with '..' stay within the folder of all files.
     depth = max((os.path.normpath(name).split(os.sep).count("..") for name in inside), default=0)
     scene = PurePosixPath(*(["inner"] * depth), ".")
     places = {name: _normal(scene / name) for name in inside}
@@ -115,7 +115,7 @@ def _names_in(state: mi.parser.ParserState) -> Iterator[str]:
 
 
 def _names_in_text(text: Path, parameters: Mapping[str, str]) -> Iterator[str]:
-    """The same from the XML, for files that are read while it is parsed."""
+    """Texts in an XML file, for the names of files that are read while it is parsed."""
     root = ElementTree.parse(text).getroot()
     values = {e.get("name", ""): e.get("value", "") for e in root.iter("default")} | dict(parameters)
     for element in root.iter():
@@ -125,14 +125,14 @@ def _names_in_text(text: Path, parameters: Mapping[str, str]) -> Iterator[str]:
 
 
 def _rename(folder: Path, texts: list[str], moved: Mapping[str, str]) -> None:
-    """Replace absolute names in the XML files by those of the files here."""
+    """Replace absolute names in the XML files by the names of the files in ``folder``."""
     for place in texts:
         path = folder / place
         text = path.read_text("utf-8")
         for name, here in moved.items():
             for quote in "\"'":
                 text = text.replace(f"{quote}{escape(name)}{quote}", f"{quote}{escape(here)}{quote}")
-        path.unlink()  # a link to a file that others share
+        path.unlink()  # it is a link to a shared file
         path.write_text(text, "utf-8")
 
 

@@ -35,8 +35,8 @@ class Problem:
 
     @cached_property
     def light_fingerprint(self) -> str:
-        """The same without sensor and film: the light on surfaces does not depend on them. (If the render space is not
-        that of the scene, it does depend on the place of the sensor.)"""
+        """The digest without sensor and film, on which the light on surfaces does not depend. (In a render space other
+        than the scene's own coordinates, this digest depends on the position of the sensor.)"""
         return fingerprint(self.scene, None, self.details + self._scale)
 
     @property

@@ -1,8 +1,8 @@
 """Render space: the coordinates in which a scene is rendered, its own unless the ray offset would be too large.
 
-Mitsuba starts a ray ``mi.math.RayEpsilon (1 + m)`` off a surface, 8.9e-5 (1 + m), m being the largest coordinate there
-(``SurfaceInteraction.offset_p``): 9 mm at 100 m from the origin, and 0.09 mm on a jewel of 2 cm in metres. In a Cornell
-box an offset of the share x of half its diagonal changes pixels by up to 2 x, and the mean by x / 3.
+Mitsuba starts a ray ``mi.math.RayEpsilon (1 + m)`` off a surface, 8.9e-5 (1 + m), where m is the largest coordinate of
+the point (``SurfaceInteraction.offset_p``): 9 mm at 100 m from the origin, and 0.09 mm on a jewel of 2 cm in metres. In
+a Cornell box an offset of x times half its diagonal changes pixels by up to 2 x, and the mean by x / 3.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 #: The largest accepted offset, relative to half the scene's diagonal or to the distance of visible surfaces; and the
 #: smallest half diagonal after scaling, the smallest distance, and the largest size of the scene after that scaling.
 _LARGEST_OFFSET, _LEAST_SIZE, _LEAST_DISTANCE, _LARGEST_SIZE = 2e-3, 8.0, 1.0, 1e5
-#: Visible distances are measured only in scenes that extend further than this, or are smaller: in others offsets matter
-#: only for tiny details. Rays per side of the film for this.
+#: Visible distances are measured only in scenes that extend further than the first number, or whose half diagonal is
+#: below the second: in other scenes offsets matter only for tiny details. Third: rays per side of the film.
 _FARTHEST, _SMALLEST, _RAYS = 30.0, 0.3, 16
 #: The largest single-precision step without a warning, relative to half the diagonal.
 _LARGEST_STEP = 1e-4
@@ -51,7 +51,7 @@ class RenderSpace:
         median distance of the surfaces that ``sensor`` sees (a room in a large building, for example).
 
         Then the centre is the position of ``sensor``, or the point of the bounding box nearest to it: offsets grow with
-        the distance from the centre, as the size of a pixel does. The scale is a power of two, and 1 except for small
+        the distance from the centre, as pixel footprints do. The scale is a power of two, and 1 except for small
         scenes: shrinking a scene would only enlarge offsets relative to objects near the centre.
         """
         share, distance = _share(scene, sensor)
@@ -61,7 +61,7 @@ class RenderSpace:
         eye = np.asarray(sensor.world_transform().translation(), dtype=float).ravel()[:3]
         x, y, z = (float(v) for v in np.clip(eye, lower, upper))
         scale = max(_LEAST_SIZE / size, min(_LEAST_DISTANCE / distance, _LARGEST_SIZE / size))
-        # Rounded to an offset grid, so that rays of another device give the same result.
+        # Rounded to a power of two, so that the rays of another device give the same scale.
         return cls((x, y, z), 2.0 ** max(0, round(math.log2(scale))))
 
     @property
@@ -87,7 +87,7 @@ def largest_offset(scene: mi.Scene) -> float:
 
 
 def half_diagonal(scene: mi.Scene) -> float:
-    """Half the diagonal of the bounding box of a loaded scene; 0 if that is empty."""
+    """Half the diagonal of the bounding box of a loaded scene; 0 if the box is empty."""
     lower, upper = _corners(scene)
     return float(np.linalg.norm(upper - lower)) / 2 if (upper >= lower).all() else 0.0
 
@@ -119,7 +119,7 @@ def _warn_once(text: str) -> None:
 
 def _share(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
     """(ray offset relative to half the diagonal or to the distance of the surfaces that ``sensor`` sees, whichever is
-    larger; this distance, if it was measured). The former is 0 if the bounding box is empty or not finite."""
+    larger; this distance, if it was measured). The relative offset is 0 if the bounding box is empty or not finite."""
     (lower, upper), size = _corners(scene), half_diagonal(scene)
     if not 0 < size < math.inf:
         return 0.0, _LEAST_DISTANCE

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 class Parameters:
     """The current parameters that ``mi.traverse`` reports for ``root`` and everything below it.
 
-    Two of these are equal if nothing was edited in between. Scalars are compared by value, arrays by the index of their
+    Two objects are equal if nothing was edited in between. Scalars are compared by value, arrays by the index of their
     Dr.Jit variable, as ``SceneParameters.update`` does. References to the variables are kept, so that their indices are
-    not reused, and so that a write into one (``dr.scatter``, ``params[key][i] = x``) goes to a copy with another index.
+    not reused, and a write into a variable (``dr.scatter``, ``params[key][i] = x``) goes to a copy with another index.
     Writes through a NumPy view of an array are not detected.
 
     ``apart``: types of objects that are left out, with everything below them. No references to objects are kept.

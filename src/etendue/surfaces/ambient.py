@@ -1,19 +1,19 @@
-r"""Ambient terms: light that is not followed any further, spread over surfaces by the directions in which they look.
+r"""Ambient terms: light that is not traced any further, distributed over surfaces by the directions that they face.
 
-Each surface belongs to classes k of normals, by weights mu_ik that sum to 1: to one class (``classic``), to the nearest
-of the six axis directions (``crisp``), or to up to three of these with the squares of the components of the normal
-(``fuzzy``). Light of the power U_i leaves the surfaces i and meets others, which reflect it again and again. With the
-sums A_k, U_k of areas and powers of a class and its mean reflectance rho_k,
+Each surface i belongs to classes k of normals, with weights mu_ik that sum to 1: to a single class (``classic``), to
+the nearest of the six axis directions (``crisp``), or to up to three of these, weighted by the squares of the
+components of the normal (``fuzzy``). Light of the power U_i leaves the surfaces and is reflected among them any number
+of times. With the sums A_k, U_k of areas and powers of a class and its mean reflectance rho_k,
 
 .. math:: B_k = U_k / A_k + \rho_k H_k, \quad H_k = \sum_j F_{kj} B_j, \quad H_i = \sum_k \mu_{ik} H_k
 
-is the irradiance of a surface [Castro 2002, ch. 6]. Nothing is asked of what hides what: the cost is that of sums over
-surfaces, and of a 6 x 6 system for each channel.
+is the irradiance of a surface [Castro 2002, ch. 6]. Visibility is ignored: the cost is that of sums over surfaces, and
+of a 6 x 6 system for each channel.
 
-Class form factors. In the thesis no class sees itself, and each sees the five others alike: F_kk = 0, F_kj = 1/5, which
-is what a cube has. In a room of other proportions that makes light out of nothing, or loses it, since A_k F_kj is not
-A_j F_jk. Here F_kj = x_k x_j / A_k for j other than k, with the x for which rows sum to 1: the same for equal areas,
-and as much light arrives as leaves for any. A class with more than half of the area sees itself by what is left.
+Class form factors. In the thesis no class sees itself, and each sees the five others equally: F_kk = 0, F_kj = 1/5, as
+in a cube. In a room of other proportions these factors create or lose light, since A_k F_kj is not A_j F_jk. Here
+F_kj = x_k x_j / A_k for j other than k, with the x for which rows sum to 1. For equal areas these factors are 1/5; for
+any areas they conserve light. A class with more than half of the area sees itself with the remaining share.
 """
 
 from __future__ import annotations
@@ -44,12 +44,13 @@ def class_light(
     factors: Callable[[Array], Array] | None = None,
 ) -> Array:
     """Irradiance (k, c) of classes from ``power`` (n, c) that leaves surfaces with ``areas`` (n,) and ``reflectance``
-    (n, c); ``weights`` (n, k) of :func:`class_weights`, whose product with it is the irradiance of surfaces.
+    (n, c). The product of ``weights`` (n, k), of :func:`class_weights`, and the result is the irradiance of surfaces.
 
-    lost: (n,) the share of what leaves each surface that meets no other, such as that of the sky; none by default.
-    factors: form factors (k, k) of the areas (k,) of classes; :func:`class_factors` by default.
+    lost: (n,) the share of the light leaving each surface that meets no other surface, such as light that escapes to
+        the sky; none by default.
+    factors: form factors (k, k) as a function of the areas (k,) of classes; :func:`class_factors` by default.
 
-    Raises :class:`SurfaceError` where nothing absorbs.
+    Raises :class:`SurfaceError` if nothing absorbs light.
     """
     by_class = weights.T @ areas
     inverse = np.divide(1.0, by_class, out=np.zeros_like(by_class), where=by_class > 0)[:, None]
@@ -62,7 +63,7 @@ def class_light(
 
 def incoming(source: Array, reflectance: Array, factors: Array) -> Array:
     """Irradiance (k, c) of classes: F (1 - rho F)^-1 ``source`` (k, c), with ``reflectance`` (k, c) and ``factors`` (k,
-    k). Raises :class:`SurfaceError` where nothing absorbs."""
+    k). Raises :class:`SurfaceError` if nothing absorbs light."""
     systems = np.eye(len(factors)) - reflectance.T[:, :, None] * factors
     try:
         radiosity = np.linalg.solve(systems, source.T[:, :, None])[:, :, 0]
@@ -102,9 +103,9 @@ def equal_factors(areas: Array) -> Array:
 
 
 def class_factors(areas: Array) -> Array:
-    """Class form factors (k, k) that are reciprocal and whose rows sum to 1 for any ``areas`` (k,): no class sees
-    itself, unless it has more than half of the area. A class without area neither sends nor meets light; its row says
-    what it would see."""
+    """Class form factors (k, k) that are reciprocal and whose rows sum to 1 for any ``areas`` (k,). No class sees
+    itself, unless it has more than half of the area. A class without area neither emits nor receives light; its row
+    is in proportion to ``areas``."""
     count, largest = len(areas), int(np.argmax(areas))
     rest = areas.sum() - areas[largest]
     exchange = np.zeros((count, count))
@@ -122,13 +123,13 @@ def class_factors(areas: Array) -> Array:
 
 
 def _scaling(areas: Array, largest: int) -> Array:
-    """x with x_k (X - x_k) = A_k, X being their sum: by bisection of X, of which each x_k is a root of a square."""
+    """x with x_k (X - x_k) = A_k, where X is the sum of x: by bisection of X; each x_k solves a quadratic equation."""
 
     def roots(total: float) -> Array:
         return (total - np.sqrt(np.maximum(total * total - 4 * areas, 0.0))) / 2
 
     low = 2 * float(np.sqrt(areas[largest]))
-    # The largest takes the greater root where the lesser ones do not make up the sum at the least X there is.
+    # If the lesser roots do not add up to X at the smallest possible X, the largest class takes the greater root.
     upper = roots(low).sum() < low
 
     def excess(total: float) -> float:

@@ -1,4 +1,4 @@
-"""Flat faces: triangles and quadrilaterals as rows of four vertex indices, a triangle repeating its last."""
+"""Flat faces: triangles and quadrilaterals as rows of four vertex indices; a triangle repeats its last index."""
 
 from __future__ import annotations
 
@@ -64,7 +64,8 @@ def triangles(faces: Index) -> tuple[Index, Index]:
 
 
 def repeated(vertices: Array, faces: Index) -> Index:
-    """Faces (f, 4) with the corners of an earlier one in the same orientation; not those back to back."""
+    """Indices of those ``faces`` (f, 4) that have the corners of an earlier face in the same orientation; two faces
+    back to back are no duplicates."""
     _, place = np.unique(vertices, axis=0, return_inverse=True)
     corners = place.reshape(-1)[faces]
     count = np.where(faces[:, 2] == faces[:, 3], 3, 4)[:, None]

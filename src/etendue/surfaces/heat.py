@@ -34,7 +34,7 @@ def thermal(
         temperatures (n,).
     edges: (b + 1,) ascending wavelengths in metres that bound b bands; the last may be infinite. Without them all
         wavelengths are one band.
-    surroundings: temperature of a black sky.
+    surroundings: temperature of a black sky, in kelvin.
 
     The net heat of a solution is :attr:`Solution.net_power`. Raises :class:`SurfaceError` for temperatures below
     zero, emissivities out of range, and edges that do not ascend.

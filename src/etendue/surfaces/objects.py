@@ -34,12 +34,12 @@ class Objects:
 
     Attributes
     ----------
-    patches: those that are grouped.
+    patches: the grouped patches.
     of_patch: (n,) the object of each patch, -1 for walls, which belong to no object. The two sides of a sheet belong to
         the same object.
     names: one for each object.
-    areas: (k,) of all patches of an object, those of both sides of a sheet.
-    lower, upper: (k, 3) corners of its box along the axes.
+    areas: (k,) the area of all patches of each object; both sides of a sheet count.
+    lower, upper: (k, 3) corners of the axis-aligned box of each object.
     """
 
     patches: Patches
@@ -100,12 +100,13 @@ def find_objects(
         an array       whole numbers (n,), or one for each patch that is not the back of a sheet; negative for walls
         ============== ==============================================================================================
 
-    walls: names of the groups that are walls, ``()`` for none. By default, with an array, those of negative numbers;
-        else groups that lie flat in a side of the scene's box and cover half of it, and those whose box holds all that
-        is left and fills half of the scene's. If that leaves no object, there are no walls.
+    walls: names of the groups that are walls, ``()`` for none. By default, with an array, the patches of negative
+        numbers are walls; otherwise groups that lie flat in a side of the scene's box and cover half of that side, and
+        groups whose box contains all remaining groups and fills half of the scene's box. If all groups would be walls,
+        there are no walls.
 
     Objects are in the order of their first patches, or of their numbers. Raises :class:`PatchError` for an array that
-    does not fit, for patches that no scene was read for, for unknown walls, and if there is no object.
+    does not fit, for ``shapes`` of patches without shapes, for unknown walls, and if there is no object.
     """
     group, names = _groups(patches, by)
     fronts = int(patches.front.max()) + 1
@@ -159,7 +160,7 @@ def _groups(patches: Patches, by: str | ArrayLike) -> tuple[Index, list[str]]:
 
 
 def _numbered(numbers: Index) -> tuple[Index, list[str]]:
-    """Groups of equal numbers that are not negative."""
+    """Groups of equal numbers; negative numbers belong to no group."""
     values, group = np.unique(numbers, return_inverse=True)
     skipped = int(np.searchsorted(values, 0))
     return np.maximum(group.reshape(-1) - skipped, -1), [str(value) for value in values[skipped:]]
@@ -192,8 +193,8 @@ def _components(patches: Patches) -> tuple[Index, list[str]]:
 def _positions(vertices: Array, gap: float) -> tuple[Index, Index]:
     """The cell of each vertex in a grid, and pairs of cells with vertices that are closer than ``gap``.
 
-    Each coordinate of two such vertices is divided by at most one of four grids that are moved along a diagonal by the
-    gap: at least one grid has them in one cell.
+    Four grids are shifted against each other by ``gap`` along the diagonal. At most one of them separates two such
+    vertices in each coordinate, so at least one has both in the same cell.
     """
     low = vertices.min(axis=0)
     width = int(np.ptp(vertices, axis=0).max() / (4 * gap)) + 3
@@ -211,7 +212,7 @@ def _positions(vertices: Array, gap: float) -> tuple[Index, Index]:
 
 
 def _areas(patches: Patches, group: Index, sides: int, count: int) -> Array:
-    """Of the first ``sides`` patches of each group, (count,)."""
+    """Areas (count,) of the groups, of the first ``sides`` patches only."""
     used = np.flatnonzero(group[:sides] >= 0)
     return np.bincount(group[used], patches.areas[used], count).astype(np.float64)
 

@@ -53,15 +53,15 @@ class Patches(InNotebooks):
 
     Attributes
     ----------
-    faces: (f, 4) vertex indices; a triangle repeats its last.
+    faces: (f, 4) vertex indices; a triangle repeats its last index.
     face_areas, face_normals: (f,), (f, 3).
     front, back: (f,) the patch of each side of a face, -1 for a back that belongs to none.
     areas, normals, centres: (n,), (n, 3), (n, 3), of patches; the normal is the mean over the patch.
     reflectance, emission: (n, c).
     sky: (c,).
-    labels: (n,) the number in ``ids``, or of the face; that of the front for a back.
-    shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, that a patch is of, -1 for none, and
-        names of shapes. ``None`` if nothing is known.
+    labels: (n,) the number in ``ids``, or the number of the face; a back has the label of its front.
+    shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, to which each patch belongs, -1 for
+        none; and the names of the shapes. ``shapes`` is ``None`` if they are not known.
     """
 
     shapes: Index | None = None
@@ -130,7 +130,7 @@ class Patches(InNotebooks):
         self.sky: Array = np.broadcast_to(light, shape[1:]).copy()
 
     def _spread(self, name: str, value: ArrayLike, backs: float) -> Array:
-        """``value`` for each patch, (n, channels) or (n, 1); ``backs`` scales that of a front for its back."""
+        """``value`` for each patch, (n, channels) or (n, 1); ``backs`` scales the value of a front for its back."""
         try:
             x = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
@@ -266,7 +266,7 @@ class Patches(InNotebooks):
     def only(self, chosen: ArrayLike) -> tuple[Patches, Index]:
         """The ``chosen`` (n,) patches with their labels, and the index that each of them has here.
 
-        Both sides of a sheet stay together: it is the fronts that are chosen. Raises :class:`PatchError` for none.
+        Both sides of a sheet stay together: only the choice of fronts counts. Raises :class:`PatchError` for none.
         """
         kept = np.flatnonzero(np.asarray(chosen, dtype=bool)[: self._fronts])
         faces = np.isin(self.front, kept)

@@ -26,7 +26,7 @@ _LOOKS = (
     *((height, 0.0, 0.0) for height in (1e-4, 1e-3, 2e-2)),
     *((1e-5, aside * x, aside * y) for aside in (6e-5, 6e-4, 6e-3) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
 )
-#: Each side of a face is this far in front of it, so that a ray hits the right one of two coincident faces.
+#: Each side of a face is lifted by this distance, so that a ray hits the right one of two coincident faces.
 _LIFT = 2e-6
 #: Smallest cosine between the normals of a surface and of the face that represents it.
 _SAME_SIDE = 0.3
@@ -34,7 +34,7 @@ _SAME_SIDE = 0.3
 
 @dataclass
 class Place:
-    """Points on patches, a lane for each point."""
+    """Points on patches, one lane each."""
 
     side: mi.UInt32  #: the side of a face, as :func:`face_sides` numbers them
     weights: mi.Vector4f  #: of its four corners
@@ -110,8 +110,8 @@ class SurfaceValues:
     """A function on the surfaces: ``constant`` of the patch, plus ``factor`` of the patch times a value interpolated
     between the corners of its faces.
 
-    constant, factor: (n, c) or (n, 1), of one channel or three. between: (n, c), values of patches, which are
-    interpolated (:func:`vertex_radiosity`, over edges of at most ``angle`` degrees).
+    constant, factor: (n, c) or (n, 1), of one channel or three. between: (n, c), the values of patches to interpolate
+    (:func:`vertex_radiosity`, over edges of at most ``angle`` degrees).
     """
 
     def __init__(

@@ -19,8 +19,8 @@ Index = NDArray[np.int64]
 class VertexRadiosity:
     """A mesh with radiosities at its vertices.
 
-    ``vertices``: (v, 3), one for each value at a position. ``faces``: (s, 4), a triangle repeating its last; fronts in
-    the order of the patches' faces, then the backs of sheets with reversed orientation. ``values``: (v, c) or (v,).
+    ``vertices``: (v, 3), one for each value at a position. ``faces``: (s, 4), a triangle repeats its last index; fronts
+    in the order of the patches' faces, then the backs of sheets with reversed orientation. ``values``: (v, c) or (v,).
     ``patch``: (s,).
     """
 
@@ -31,7 +31,8 @@ class VertexRadiosity:
 
 
 def face_sides(patches: Patches) -> tuple[Index, Index]:
-    """All sides of faces that belong to a patch: corners (s, 4), counterclockwise seen from there, and the patch (s,).
+    """All sides of faces that belong to a patch: corners (s, 4), counterclockwise seen from that side, and the patch
+    (s,).
 
     Fronts come first, in the order of the faces; then the backs of sheets.
     """

@@ -8,17 +8,17 @@ import numpy as np
 
 from etendue.core import Array
 
-#: A point is inside a sphere if it is this close to it, in radii: rounding.
+#: Relative tolerance of the radius, for points on a sphere: rounding.
 _TOLERANCE = 1e-10
-#: Corrections of a sphere, at most; ten are usual.
+#: Largest number of corrections of a sphere; ten are usual.
 _MOST = 1000
 
 
 def bounding_sphere(points: Array) -> tuple[Array, float]:
     """Centre and radius of the smallest sphere around points (n, 3).
 
-    A sphere through two to four of the points determines it. The farthest point outside the present sphere joins those
-    that determine it, until none is outside [Gaertner 1999].
+    Two to four points on the sphere, the support, determine it. The farthest point outside the current sphere is added
+    to the support until no point is outside [Gaertner 1999].
     """
     centre, radius = points.mean(axis=0), 0.0
     support = points[:0]
@@ -45,8 +45,7 @@ def joint_sphere(centre: Array, radius: float, other: Array, other_radius: float
 
 
 def _smallest(support: Array, new: Array) -> tuple[Array, Array, float]:
-    """The smallest sphere around at most four points and a new one that is on it: the points on it, its centre, its
-    radius."""
+    """The smallest sphere around at most four points that has a new point on it: its support, centre and radius."""
     everything = np.vstack([support, new])
     best: tuple[Array, Array, float] = np.array([new]), new, 0.0
     if len(support) == 0:
@@ -68,7 +67,7 @@ def _smallest(support: Array, new: Array) -> tuple[Array, Array, float]:
 
 
 def _through(points: Array) -> tuple[Array, float] | None:
-    """The smallest sphere through two to four points; ``None`` if they are on a line or in a plane."""
+    """The smallest sphere through two to four points; ``None`` for three on a line or four in a plane."""
     ways = points[1:] - points[0]
     squares = (ways**2).sum(axis=1)
     gram = 2 * ways @ ways.T

@@ -13,9 +13,9 @@ Index = NDArray[np.int64]
 def subdivide(vertices: Array, faces: Index, max_area: float) -> tuple[Array, Index, Index]:
     """Vertices and faces (f, 4) of at most ``max_area`` each, and the original face of each.
 
-    A face is cut ``n`` times along each side, ``n`` as small as the area allows: a triangle into ``n^2`` triangles of
-    equal area, a quadrilateral into ``n^2`` quadrilaterals, of equal area if its opposite sides are parallel.
-    Neighbours that are divided differently have no gap between them, but different vertices on the common edge.
+    Each side of a face is divided into ``n`` parts, ``n`` as small as the area allows: a triangle becomes ``n^2``
+    triangles of equal area, a quadrilateral ``n^2`` quadrilaterals, of equal area if its opposite sides are parallel.
+    Neighbours with different ``n`` have no gap between them, but different vertices on the common edge.
     """
     cuts = np.maximum(np.ceil(np.sqrt(_largest_part(vertices[faces]) / max_area) - 1e-9), 1).astype(np.int64)
     is_triangle = faces[:, 2] == faces[:, 3]
@@ -38,7 +38,8 @@ def subdivide(vertices: Array, faces: Index, max_area: float) -> tuple[Array, In
 
 
 def _largest_part(corners: Array) -> Array:
-    """Area of the largest part times the number of parts: of a quadrilateral, that of the parallelogram at a corner."""
+    """Area of the largest part times the number of parts: for a quadrilateral, of the largest parallelogram at a
+    corner."""
     areas = []
     for i in range(4):
         sides = corners[:, (i + 1) % 4] - corners[:, i], corners[:, i - 1] - corners[:, i]
@@ -48,7 +49,7 @@ def _largest_part(corners: Array) -> Array:
 
 
 def _triangle(n: int) -> tuple[Array, Index]:
-    """Weights (p, 4) of the corners in each point, and parts as rows of point numbers."""
+    """Weights (p, 4) of the corners of a face for each point, and the parts as rows of point indices."""
     i, j = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
     inside = i + j <= n
     number = np.full((n + 1, n + 1), -1)

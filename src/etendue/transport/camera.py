@@ -16,7 +16,7 @@ from etendue.scene import Problem
 
 from . import dimensions as dim
 
-#: Most memory for the copies of the splatted images, one a thread, in bytes.
+#: Most memory, in bytes, for the copies of the splat images, one copy per thread.
 _EXPAND_BYTES = 64e6
 
 
@@ -46,10 +46,10 @@ class SplatPlace:
 
 
 class Splats:
-    """Images of splats on the device: sums over light paths, four floats a pixel or a cell.
+    """Images of splats on the device: sums over light paths, four floats per pixel or cell.
 
-    ``shift``: two numbers in [0, 1), other ones in every pass, that shift the grid of cells
-    (:class:`etendue.film.CellGrid`); ``None``: splats are added to pixels, as by the technique pyramid.
+    ``shift``: two numbers in [0, 1) that shift the grid of cells (:class:`etendue.film.CellGrid`) and differ from pass
+    to pass; ``None``: splats are added to pixels, as in the technique pyramid.
     """
 
     def __init__(self, camera: CameraSampler, images: int = 1, shift: tuple[mi.Float, mi.Float] | None = None) -> None:
@@ -59,7 +59,7 @@ class Splats:
         self._grid = grid if grid is not None and 4 * grid.count * images < 1 << 32 else None
         self._stride = camera.pixels if self._grid is None else self._grid.count
         self.array = dr.zeros(mi.Float, 4 * self._stride * images)
-        # On a CPU, one copy of the images a thread is faster than atomic additions (a GPU ignores the mode).
+        # On a CPU, one copy of the images per thread is faster than atomic additions (a GPU ignores the mode).
         small = 16 * self._stride * images * dr.thread_count() <= _EXPAND_BYTES
         self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
 

@@ -1,4 +1,4 @@
-"""The dimensions of a path sample: components of a vertex, one a random number.
+"""The dimensions of a path sample: each random number is a component of a vertex.
 
 Vertex 0 is the start of the sub-path (the sensor or the light), vertex j >= 1 the j-th surface that it hits.
 """
@@ -39,8 +39,8 @@ NEXT_EVENT_MAX = 8
 CONNECT = NEXT_EVENT + 4 * NEXT_EVENT_MAX
 CONNECT_MAX = 16
 
-# Coordinates of Halton's sequence: small primes for film and lens, larger ones from vertex to vertex, next event before
-# the direction; the first 46 primes (up to 199), which are those of 8 vertices. Other numbers are independent.
+# Coordinates of Halton's sequence: small primes for film and lens, larger primes from vertex to vertex, with next event
+# before the direction. The first 46 primes (up to 199) cover 8 vertices. Other numbers are independent.
 _LATER = {NEXT_EVENT: 0, NEXT_EVENT + 1: 1, NEXT_EVENT + 2: 2, DIRECTION: 3, DIRECTION + 1: 4}
 CAMERA_COORDINATES = Coordinates({c: c for c in range(6)}, _LATER, 5, 46)
 LIGHT_COORDINATES = Coordinates({c: c for c in range(5)}, {DIRECTION: 0, DIRECTION + 1: 1}, 2, 21)

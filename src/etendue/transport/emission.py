@@ -54,7 +54,7 @@ class DirectSample:
 
 def emit(lights: LightTable, source: SampleSource, active: mi.Bool, departures: Departures | None = None) -> EmittedRay:
     """Sample a ray from the lights: the emitter by the table's probabilities, then point and direction by the emitter's
-    kind. ``departures``: learned directions, with which those of the kinds are mixed."""
+    kind. ``departures``: learned directions, mixed with the directions of the emitter's kind."""
     light = lights.pick_emitting(source.next_1d(0, dim.LIGHT_PICK), active)
     u_point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
     u_direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
@@ -100,7 +100,7 @@ def _emit_area(
     own = light.direction(u_direction)
     guided: list[Any] = []
     if learned is not None:
-        # The normal of the point of a sphere around the direction, as directions are around the normal of a point.
+        # On a sphere, the normal is distributed around the direction as directions are around the normal of a point.
         normal = mi.Frame3f(learned.direction).to_world(light.direction(u_point))
         guided = [learned.direction, learned.applies, normal, learned.applies & learned.is_round]
 
@@ -139,7 +139,7 @@ def _emit_point(
     direction_density = light.direction_density
     out.own_pdf[mask] = direction_density
     if learned is not None:
-        # The intensity is that at distance 1; the density is not of the emitter's own directions where it is unused.
+        # The emitter gives the intensity at distance 1; ``weight`` is divided by the density of the mixture below.
         probe = dr.zeros(mi.Interaction3f)
         probe.p = ray.o + learned.direction
         guided = mask & learned.applies
@@ -172,7 +172,7 @@ def _own_ray(light: Light, kind: mi.EmitterFlags, u: mi.Point2f, mask: mi.Bool) 
     def sample(emitter: mi.Emitter, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
         if not mi.has_flag(emitter.flags(), kind):  # area lights with some textures do not implement sample_ray
             return dr.zeros(mi.Ray3f), mi.Color3f(0.0)
-        # Twice the same pair: spot reads its direction from the first one, others from the second.
+        # The same pair twice: spot reads its direction from the first one, others from the second.
         return emitter.sample_ray(0.0, 0.5, u, u, mask)
 
     return dr.dispatch(light.emitter, sample, u, mask)
@@ -206,7 +206,7 @@ def sample_direct(
     departures: Departures | None = None,
 ) -> DirectSample:
     """Sample a light point at the surface point ``si``: the ``index``-th next-event sample of ``vertex``.
-    ``departures``: those of :func:`emit`, for the density of emission."""
+    ``departures``: as for :func:`emit`, for the density of emission."""
     component = dim.NEXT_EVENT + 4 * index
     u_point = mi.Point2f(*source.next_2d(vertex, component + 1))
     light = lights.pick(source.next_1d(vertex, component), active)

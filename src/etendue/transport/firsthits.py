@@ -1,5 +1,5 @@
-"""What camera rays meet first: albedo, shading normal, depth and emission, recorded by the walk that traces the rays;
-the shape in the middle of each pixel, and the shapes that cover it."""
+"""First hits of camera rays: albedo, shading normal, depth and emission, recorded by the walk that traces the rays; the
+shape in the middle of each pixel, and the shapes that cover the pixel."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .bidirectional.photons import packed_normal, unpacked_normal
 from .camera import CameraSampler
 from .vertex import WalkVertex
 
-#: Packets of four floats of a camera ray: albedo and depth; emission and the packed shading normal.
+#: Packets of four floats per camera ray: albedo and depth; emission and the packed shading normal.
 _PACKETS = 2
-#: Camera rays of a pixel and pass whose first hits are recorded: the layers have far less noise than the picture.
+#: Camera rays per pixel and pass whose first hits are recorded: the layers have far less noise than the picture.
 _MOST_RAYS = 8
-#: Rays of a pixel along a side that tell what covers it, and the most shapes that are kept.
+#: Rays along each side of a pixel that find the shapes covering it, and the largest number of shapes that are kept.
 _RAYS, _RANKS = 8, 6
 
 
@@ -39,12 +39,12 @@ class FirstHits:
         self._packets = dr.zeros(mi.Float, 4 * _PACKETS * self._count)
         self._ray: mi.UInt32 | None = None
         self._kept = mi.Bool(True)
-        #: Pass whose places on the film the rays have.
+        #: Pass whose film positions the rays have.
         self.iteration = 0
 
     @property
     def recorded(self) -> bool:
-        """Whether a walk has recorded something."""
+        """Whether a recorder was requested for a walk."""
         return self._ray is not None
 
     def of(self, ray: mi.UInt32, iteration: int) -> FirstHits:
@@ -75,7 +75,7 @@ class FirstHits:
         ) -> mi.Bool:
             n = si.sh_frame.n
             albedo = dr.select(hit, bsdf.eval_diffuse_reflectance(si, hit), 0.0)
-            # A packed normal is always finite; a depth of NaN tells of one that is not.
+            # A packed normal is always finite; therefore a depth of NaN marks a normal that is not.
             depth = dr.select(hit, dr.select(dr.all(dr.isfinite(n)), si.t, dr.nan), 0.0)
             first = mi.Vector4f(albedo.x, albedo.y, albedo.z, depth)
             second = mi.Vector4f(emitted.x, emitted.y, emitted.z, packed_normal(n))
@@ -107,9 +107,10 @@ class FirstHits:
 
 
 def seen_shapes(problem: Problem, middle: bool, matte: bool) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """(layers, metadata) of the shapes that pixels show: with ``middle`` the layer ``shape`` of numbers from 1 of those
-    in the middle of the pixels, 0 for none, with the names ``shapes``; with ``matte`` a Cryptomatte of the names, whose
-    coverage is the share of 64 rays. Names are ids of the scene, or type and number. An instance is one shape."""
+    """(layers, metadata) of the shapes that pixels show. ``middle``: a layer ``shape``, the number (from 1) of the
+    shape in the middle of each pixel, 0 for none, and metadata ``shapes``, their names. ``matte``: a Cryptomatte of the
+    names; coverage is the share of 64 rays. Names are ids of the scene, or type and number. An instance is one
+    shape."""
     if not (middle or matte):
         return {}, {}
     width, height = problem.size
@@ -150,8 +151,8 @@ def _numbered(shapes: list[mi.Shape], seen: NDArray[np.uint32]) -> NDArray[np.ui
 
 
 def _covering(problem: Problem) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """(pointers to shapes that the rays of a pixel meet first, numbers of these rays), (pixels, ranks) both. The places
-    of the rays are even over the pixel, in proportion to the absolute value of the film's filter."""
+    """(pointers to the shapes that the rays of a pixel hit first, number of rays for each shape), each (pixels, ranks).
+    Rays are stratified by the density proportional to the absolute value of the film's filter."""
     camera = CameraSampler(problem, independent=True)
     pixel, side = dr.arange(mi.UInt32, camera.pixels), dr.opaque(mi.UInt32, _RAYS)
     y = pixel // camera.width

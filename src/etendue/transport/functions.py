@@ -1,8 +1,10 @@
 """A scene as functions of rays, from which the rendering equation is composed.
 
+For rays r, and random numbers u in the unit cube, the rendering equation [Kajiya 1986; Leeson 2001, sec. 5.2]
+
     L(r) = L_e(r) + int w(r, u) L(s(r, u)) du
 
-is, over rays r and the unit cube of u [Kajiya 1986; Leeson 2001, sec. 5.2]:
+is written as
 
     radiance = f.emitted + integral(f.weight * radiance.compose(f.scatter), over=[6, 7, 8])
 
@@ -41,10 +43,10 @@ class TransportFunctions:
     scatter: ray, and three random numbers for component and direction -> the next ray, from the point that the first
         one hits, sampled from the BSDF.
     weight: the same parameters -> BSDF times cosine over the density of ``scatter``. Zero where the ray hits nothing;
-        the next ray then is one that hits nothing, too.
+        the next ray then hits nothing either.
     direct: ray, and two random numbers for a point on the emitters -> radiance from that point reflected towards the
         ray's origin, over the density of the point. Zero for materials without a smooth component.
-    hit: ray -> coordinates of the point that it hits and of the normal there, on the ray's side. The ray's origin and
+    hit: ray -> coordinates of the point that it hits and of the normal there, on the ray's side; the ray's origin and
         zeros where it hits nothing.
     distance: ray -> distance to the point that it hits; infinite where it hits nothing.
     albedo: ray -> diffuse reflectance of the material that it hits.
@@ -99,7 +101,7 @@ class TransportFunctions:
         """
         return film_picture(radiance.compose(self.camera), size, samples, integrator, seed)
 
-    # In each function, x[0..5] are the coordinates of the ray ---------------------------------------------------------
+    # In functions of rays, x[0..5] are the coordinates of the ray -----------------------------------------------------
 
     def _camera(self, x: Sequence[mi.Float]) -> list[mi.Float]:
         film = mi.Point2f(x[0], x[1])
@@ -156,8 +158,8 @@ class TransportFunctions:
         return si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
 
     def _cached(self, name: str, x: list[mi.Float], compute: Callable[[], T]) -> T:
-        """``compute()``, or its last result if that was computed for the same arrays (those of the last call are kept,
-        so that their indices are not used again)."""
+        """``compute()``, or its last result if that was computed for the same arrays. The arrays of the last call are
+        kept, so that their indices are not used again."""
         last = self._last.get(name)
         if last is not None and [v.index for v in last[0]] == [v.index for v in x]:
             return cast(T, last[1])

@@ -1,9 +1,9 @@
 """Irradiance caching with gradients: irradiance is computed at few points and extrapolated from them.
 
 A record at x_i with normal n_i estimates ``E(x, n) = E_i + (n_i cross n) . rotation_i + (x - x_i) . translation_i``
-near x_i. Its weight is ``1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))``; a record is used where its weight is above
-``1 / accuracy``. R_i is the harmonic mean distance to the surfaces that the rays of the record hit [Ward 1988;
-WardHeckbert 1992].
+near x_i. With ``w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))``, a record is used where ``accuracy w_i`` is above 1,
+with the weight ``accuracy w_i - 1``. R_i is the harmonic mean distance to the surfaces that the rays of the record hit
+[Ward 1988; WardHeckbert 1992].
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _IN_FRONT = 0.05
 #: Offset of ray origins from the surface, relative to the least radius; and its least value relative to the largest
 #: coordinate, because single precision rounds coordinates by a few 2^-24.
 _LIFT, _STEPS = 1e-3, 2.0**-20
-#: Distance that counts for rays that hit nothing, relative to the greatest radius.
+#: Distance assumed for rays that hit nothing, relative to the greatest radius.
 _FAR = 1e12
-#: Least number of records that a map adds at once.
+#: Most records that a map adds at once, or half as many as it has, if that is more.
 _FIRST = 64
 
 
@@ -37,9 +37,9 @@ class IrradianceCache:
 
     Parameters
     ----------
-    accuracy: a, the error that is allowed; a smaller one needs more records. A record is used up to the distance a R_i.
+    accuracy: a, the allowed error; a smaller error needs more records. A record is used up to the distance a R_i.
     reach: least and greatest of these distances, in units of the scene.
-    strata: rings and sectors of the hemisphere; a record casts one ray a stratum.
+    strata: rings and sectors of the hemisphere; a record casts one ray per stratum.
     gradients: extrapolate by the gradients; without, a record's irradiance is constant.
     """
 
@@ -131,7 +131,7 @@ class IrradianceCache:
                 turn = dr.cross(other, n)
                 value += mi.Vector3f(*(dr.dot(turn, vector(k, used)) for k in (9, 12, 15)))
                 value += mi.Vector3f(*(dr.dot(offset, vector(k, used)) for k in (18, 21, 24)))
-            # Less what the weight is where the record ends, so that nothing jumps there.
+            # The weight is zero where the record ends, so that the irradiance is continuous there.
             w = dr.select(used, dr.rcp(dr.maximum(far, 1e-4)) - 1, 0)
             return i + 1, total + w * dr.maximum(value, 0), weight + w
 
@@ -144,7 +144,7 @@ class IrradianceCache:
 
 
 class CacheMap:
-    """A cache as a map of irradiance, which is filled where paths ask for it.
+    """A cache as a map of irradiance; records are added where paths need them.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class CacheMap:
             chosen = missing[:: -(-len(missing) // max(_FIRST, len(self.cache) // 2))]
             self.cache.compute(*self._light, position[chosen], normal[chosen], len(self.cache), self.space)
             found[missing], weight[missing] = self.cache(position[missing], normal[missing])
-            # A record is valid where it was made, unless the surface ends the search for good.
+            # A record is valid at its own point; a point where even its own record is not used is given up.
             weight[chosen] = np.where(weight[chosen] == 0, np.nan, weight[chosen])
         rows = np.zeros((count, 3), np.float32)
         rows[lanes] = found

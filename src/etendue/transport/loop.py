@@ -1,10 +1,9 @@
 """Loops whose body is traced once.
 
-Dr.Jit traces the body of a symbolic loop a second time if a variable of its state is the same after the body as before
-it: the second trace treats the variable as a constant. Tracing takes tens of milliseconds a pass where a scene has many
-materials, and most walks have such a variable: the time of the ray, the relative index of refraction in a scene without
-glass, the number of the lane. So to a variable that the body has not changed, a zero is added of which Dr.Jit does not
-know that it is one.
+If the body of a symbolic loop leaves a variable of its state unchanged, Dr.Jit traces the body a second time and treats
+the variable as a constant. Tracing takes tens of milliseconds a pass in a scene with many materials, and most walks
+have such a variable: the time of the ray, the relative index of refraction in a scene without glass, the number of the
+lane. Therefore an opaque zero, whose value Dr.Jit does not know, is added to variables that the body has not changed.
 """
 
 from __future__ import annotations
@@ -55,8 +54,9 @@ def _parts(value: Any) -> Iterator[Any]:
 
 
 def _changed(value: Any, earlier: Iterator[tuple[int, bool]], zero: mi.UInt32) -> Any:
-    """The state ``value``, without variables that are those of the start of the body, or literals as before the loop.
-    ``earlier``: of each variable, its index at the start of the body and whether it was a literal before the loop."""
+    """The state ``value``, with ``zero`` added to each variable that is the same as at the start of the body, or that
+    is a literal both before the loop and now. ``earlier``: for each variable, its index at the start of the body and
+    whether it was a literal before the loop."""
 
     def part_of(part: Any) -> Any:
         return _changed(part, earlier, zero)

@@ -196,7 +196,7 @@ def _scatter(
     directions: Sequence[tuple[mi.Vector3f, mi.Bool]],
 ) -> tuple[Scattered, list[Evaluated]]:
     """Sample and evaluate in one call of the BSDF; separate calls take about 15 % longer."""
-    # Without stratification of the lobe, which costs time and has no measurable effect on the error.
+    # The lobe is not stratified: that would cost time and has no measurable effect on the error.
     u = source.decide(vertex, dim.LOBE), mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
 
     def call(
@@ -255,7 +255,7 @@ def _sample_uniform(
     eta, kind = mi.Float(1.0), mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
     if share == 1.0:
         return wo, weight, pdf, reverse_pdf, eta, kind
-    # Samples of the BSDF contribute only where they are of a delta component.
+    # Samples of the BSDF contribute only where they come from a delta component.
     rest = (lobe - share) / (1.0 - share)
     bs, delta_weight = bsdf.sample(mi.BSDFContext(), si, rest, u_direction, active & ~smooth)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)

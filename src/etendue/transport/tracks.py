@@ -1,6 +1,6 @@
 """Paths recorded vertex by vertex, for pictures of paths: through a point of the film, or from a light.
 
-They are traced by the operations of every path method, edge by edge, with the random numbers of independent lanes.
+They are traced edge by edge, with the same operations as in every path method, and with independent random numbers.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .walk import CameraPath, SubPath, Walker
 #: Most paths, and most edges of a path, that are recorded.
 MOST_PATHS = 1 << 16
 MOST_EDGES = 64
-#: From here on a path may end by Russian roulette.
+#: Number of the vertex from which on a path may end by Russian roulette.
 _ROULETTE = 5
 
 
@@ -51,7 +51,7 @@ class Tracks:
     ----------
     positions: (paths, vertices, 3) float32, in render space; NaN where there is no vertex.
     throughput: (paths, vertices, 3) float32, of the edge that ends at the vertex; at the first vertex, of the first
-        edge. That of a light path is a flux in watts, over the number of paths the light's share of one.
+        edge. For a light path it is a flux in watts; divided by the number of paths, it is the flux of one path.
     events: (paths, vertices) int8, see :class:`Event`.
     smooth: (paths, vertices), whether the surface there has a component without delta functions, so that a light path
         leaves a photon.
@@ -145,7 +145,7 @@ class PathRecorder:
         return IndependentSource(dr.arange(mi.UInt32, paths), seed, "tracks", 0)
 
     def _record(self, walker: Walker, path: CameraPath | SubPath, source: SampleSource, paths: int) -> Tracks:
-        """Walk edge by edge, each a kernel that is the same for all edges."""
+        """Walk edge by edge, with the same kernel for all edges."""
         camera = isinstance(path, CameraPath)
         first = dr.select(path.active, mi.UInt32(Event.START), mi.UInt32(Event.NONE))
         columns = [_column(path.ray.o, path.throughput, first, paths)]
@@ -186,7 +186,7 @@ class PathRecorder:
 
 
 class _FromLight:
-    """Random numbers that pick one light."""
+    """Random numbers of ``source`` that always pick the same light."""
 
     def __init__(self, source: SampleSource, lights: LightTable, light: int) -> None:
         self._source = source

@@ -21,11 +21,11 @@ class Joined(Protocol):
 
     @property
     def direction(self) -> mi.Vector3f:
-        """World direction from the vertex to it."""
+        """World direction from the vertex to the end."""
 
     @property
     def active(self) -> mi.Bool:
-        """Lanes in which it exists."""
+        """Lanes in which the end exists."""
 
 
 @dataclass(kw_only=True)

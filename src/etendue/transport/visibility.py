@@ -23,8 +23,8 @@ class Visibility:
     def __init__(self, scene: mi.Scene) -> None:
         self.scene = scene
         self.transparent = any(_passes(node) for node in materials(scene) if isinstance(node, mi.BSDF))
-        #: The opaque meshes alone, by which nearly all blocked shadow rays are blocked: an any-hit test costs less than
-        #: the closest intersection. Not on a GPU, where a kernel traces rays in one scene only.
+        #: The opaque meshes alone, which block nearly all blocked shadow rays: an any-hit test costs less than the
+        #: closest intersection. Not on a GPU, where a kernel traces rays in one scene only.
         self._opaque = (
             _opaque_meshes(scene) if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
         )
@@ -39,7 +39,7 @@ class Visibility:
             blocked = self._opaque.ray_test(ray, active)
             active, transmittance = active & ~blocked, transmittance & ~blocked
 
-        time, wavelengths = ray.time, ray.wavelengths  # no part of the state: see ``loop_traced_once``
+        time, wavelengths = ray.time, ray.wavelengths  # outside the loop state: see ``loop_traced_once``
 
         def cross(
             active: mi.Bool,
@@ -63,8 +63,8 @@ class Visibility:
             ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f]:
                 si = hit.compute_surface_interaction(ray, active=null)
                 transmittance = transmittance * si.bsdf(ray).eval_null_transmission(si, null)
-                # A new direction to the end point: the new origin is offset from the surface, so that a ray in the old
-                # direction could hit the light at the end.
+                # The direction to the end point is computed again: the new origin is offset from the surface, and a ray
+                # in the old direction could hit the light at the end.
                 finite = ray.maxt < dr.largest(mi.Float)
                 end = ray(dr.select(finite, ray.maxt, si.t))
                 onward = dr.select(finite, si.spawn_ray_to(end), si.spawn_ray(ray.d))

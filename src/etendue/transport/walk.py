@@ -45,12 +45,12 @@ class SubPath:
     depth: mi.UInt32  #: number of edges, including the next one
     travelled: mi.Float  #: length of the next edge up to the last null surface that it has crossed
     rays: mi.UInt32  #: rays cast so far, including shadow rays
-    #: Of a camera path, the ``film.Component`` of a light at the end of the next edge; None where nobody asks.
+    #: The ``film.Component`` of a light at the end of the next edge of a camera path; None if components are not kept.
     seen: mi.UInt32 | None = None
 
     def components_of(self, values: Sequence[mi.Color3f]) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
-        """(component, light) that the vertex at the end of the edge reflects. ``values``: all light as one value, or
-        with ``seen`` that of each of ``film.REFLECTED``, as an eye has them that sees the vertex directly."""
+        """(component, light) that the vertex at the end of the edge reflects. ``values``: all light as one value; with
+        ``seen``, one value for each of ``film.REFLECTED``, for an eye that sees the vertex directly."""
         if self.seen is None:
             (value,) = values
             return [(None, value)]
@@ -60,7 +60,7 @@ class SubPath:
 
     @property
     def lit(self) -> mi.UInt32 | None:
-        """Component of light that the vertex at the end of the edge reflects straight from a lamp."""
+        """Component of light that comes directly from a light and is reflected by the vertex at the end of the edge."""
         return None if self.seen is None else reflected(self.seen)
 
 
@@ -91,8 +91,8 @@ class CameraPath(SubPath):
     by_component: list[mi.Color3f] = field(default_factory=list)  #: ``radiance`` by component; empty without ``seen``
 
     def add(self, value: mi.Color3f, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
-        """Add a contribution. ``component``: of a light at the end of the edge ``seen``, of a light point at the vertex
-        there :attr:`lit`."""
+        """Add a contribution. ``component``: ``seen`` for a light at the end of the edge, :attr:`lit` for a light point
+        sampled at the vertex there."""
         self.radiance[active] += value
         for number, part in enumerate(self.by_component):
             if not isinstance(component, int):
@@ -123,7 +123,7 @@ class CameraPath(SubPath):
 
 
 def component_fields() -> dict[str, Any]:
-    """What the state of a camera path has in addition if its contributions are kept by component, for ``start``."""
+    """Additional fields for :meth:`CameraPath.start` if the contributions of a camera path are kept by component."""
     # Opaque, because Dr.Jit fails on literal zeros in a loop if no material of the scene adds to them.
     parts = [mi.Color3f(dr.opaque(mi.Float, 0.0)) for _ in COMPONENTS]
     return {"seen": mi.UInt32(Component.EMISSION), "by_component": parts}
@@ -138,9 +138,9 @@ class Emission:
     """Emission at the end of an edge, one lane each. Densities include the choice of the light."""
 
     radiance: mi.Color3f
-    area_density: mi.Float  #: next event's, at the start of the edge, for the point; infinite lights: for the direction
-    emission_density: mi.Float  #: emission's, for point and direction
-    direct_pdf: mi.Float  #: next event's, at the start of the edge, per solid angle
+    area_density: mi.Float  #: of the point under next event at the edge's start; of the direction for infinite lights
+    emission_density: mi.Float  #: of point and direction under emission
+    direct_pdf: mi.Float  #: solid-angle density under next event at the edge's start
     active: mi.Bool
 
 
@@ -155,7 +155,7 @@ class Walker:
     survival: float = 1.0  #: factor on the probability by which a path survives roulette
     proposal: Proposal = scatter_camera  #: samples directions
     departures: Departures | None = None  #: learned directions of emission, for its densities
-    first: FirstHits | None = None  #: records what the first edges meet
+    first: FirstHits | None = None  #: records the surfaces that the first edges hit
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
@@ -183,8 +183,8 @@ class Walker:
         return mi.Bool(False)
 
     def emission(self, s: SubPath, vertex: WalkVertex, lights: LightTable | LocalLights | None = None) -> Emission:
-        """Emission at the end of the edge, including the environment's. ``lights``: those of :meth:`light_point` at the
-        start of the edge, if they were not the table's."""
+        """Emission at the end of the edge, including that of the environment. ``lights``: the lights that
+        :meth:`light_point` used at the start of the edge, if not the light table."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
         found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance, self.departures)
@@ -214,7 +214,8 @@ class Walker:
         weight: mi.Float,
         wanted: mi.Bool | bool = True,
     ) -> tuple[mi.Color3f, mi.Bool]:
-        """(throughput times BSDF times radiance over density, times ``weight``; whether the light point is visible).
+        """(throughput times BSDF times radiance over density, times ``weight`` and transmittance; whether the light
+        point is visible).
         No shadow ray is cast where the contribution is zero or not ``wanted``."""
         contribution = s.throughput * f.value * light.radiance * weight
         tested = light.active & ~dr.all(contribution == 0.0) & wanted
@@ -230,8 +231,8 @@ class Walker:
         return self.visibility.along(vertex.ray_to(target), self.max_edges - edges, active)
 
     def keep_if_null(self, scattered: Scattered, before: V, after: V) -> V:
-        """``after`` where the path has scattered at the vertex; ``before`` where it has crossed a null surface, where
-        a path has no vertex."""
+        """``after`` where the path has scattered at the vertex; ``before`` where it has crossed a null surface, at
+        which a path has no vertex."""
         return dr.select(scattered.is_null, before, after) if self.visibility.transparent else after
 
     def advance(

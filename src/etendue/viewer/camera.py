@@ -30,12 +30,12 @@ _NEAREST = 1e-4
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the camera is, in render space.
+    """Position and direction of the camera, in render space.
 
-    ``up`` is the axis that orbiting turns around. ``own`` (3x3) is what the scene's transform has beside position and
-    direction (a roll, a mirror, a scale), and is kept. ``fov``: horizontal field of view in degrees; ``None`` for a
-    sensor without one. ``flat``: the sensor is orthographic, and the first two columns of ``own`` have the size of its
-    view.
+    ``up`` is the axis of orbiting. ``own`` (3x3) is the part of the scene's transform besides position and direction (a
+    roll, a mirror, a scale), and is kept. ``fov``: horizontal field of view in degrees; ``None`` for a
+    sensor without one. ``flat``: the sensor is orthographic, and the first two columns of ``own`` contain the size
+    of its view.
     """
 
     origin: Array
@@ -48,7 +48,7 @@ class Pose:
 
     @classmethod
     def of(cls, problem: Problem) -> Pose:
-        """The pose of the sensor of a scene. The target is what the middle of the picture shows."""
+        """The pose of the sensor of a scene. The target is the point in the middle of the picture."""
         box = problem.scene.bbox()
         low, high = (np.asarray(p, dtype=np.float64).ravel() for p in (box.min, box.max))
         size = float(np.linalg.norm(high - low)) / 2
@@ -56,7 +56,7 @@ class Pose:
         matrix = _matrix(problem.sensor)
         origin, forward = matrix[:3, 3], _normalized(matrix[:3, 2])
         camera_up = matrix[:3, 1]
-        # Of the axes that the picture shows upright, the one that is most upright; without any, of all.
+        # Of the axes that the picture shows upright, the most upright one; without such an axis, of all axes.
         upright = np.abs(_normalized(matrix[:3, 0])) < _LEVEL
         axis = int(np.argmax(np.abs(camera_up) * (upright if (upright & (camera_up != 0.0)).any() else 1.0)))
         up = np.zeros(3)
@@ -96,25 +96,25 @@ class Pose:
         return pose
 
     def orbited(self, right: float, up: float) -> Pose:
-        """Around the target, the camera to the right and up."""
+        """Move the camera to the right and up around the target."""
         offset = _swung(self.origin - self.target, self.up, right, up)
         return replace(self, origin=self.target + offset)
 
     def turned(self, right: float, up: float) -> Pose:
-        """The direction, on the spot."""
+        """Turn the view to the right and up, in place."""
         view = _swung(self.target - self.origin, self.up, -right, up)
         return replace(self, target=self.origin + view)
 
     def shifted(self, right: float, up: float, forward: float) -> Pose:
-        """Camera and target, in units of their distance; across a flat view, of its width."""
+        """Move camera and target, in units of their distance; in a flat view, sideways in units of its width."""
         left, above, ahead = self._frame().T
         across = 2.0 * float(np.linalg.norm(self.own[:, 0])) if self.flat else self.distance
         step = (-right * left + up * above) * across + forward * ahead * self.distance
         return replace(self, origin=self.origin + step, target=self.target + step)
 
     def approached(self, by: float) -> Pose:
-        """Nearer to the target: the logarithm of the distance, or of the size of a flat view, becomes less ``by``
-        this."""
+        """Move nearer to the target: the logarithm of the distance, or of the size of a flat view, decreases by
+        ``by``."""
         factor = math.exp(-max(-50.0, min(50.0, by)))
         if self.flat:
             width = float(np.linalg.norm(self.own[:, 0]))
@@ -124,19 +124,19 @@ class Pose:
         return replace(self, origin=self.target - _normalized(self.target - self.origin) * distance)
 
     def zoomed(self, by: float) -> Pose:
-        """A smaller field of view. Sensors without one do as :meth:`approached`."""
+        """Make the field of view smaller. Without a field of view, as :meth:`approached`."""
         if self.fov is None:
             return self.approached(by)
         low, high = _FOV
         return replace(self, fov=min(max(self.fov * math.exp(-max(-50.0, min(50.0, by))), low), high))
 
     def rolled(self, by: float) -> Pose:
-        """The axis that is up, around the view."""
+        """Turn the up axis around the view direction."""
         return replace(self, up=_rotated(self.up, _normalized(self.target - self.origin), by))
 
     @property
     def distance(self) -> float:
-        """Of the target."""
+        """Distance of the target from the camera."""
         return float(np.linalg.norm(self.target - self.origin))
 
     # ------------------------------------------------------------------ for sensors and pages
@@ -153,7 +153,7 @@ class Pose:
         forward = _normalized(self.target - self.origin)
         left = np.cross(self.up, forward)
         length = np.linalg.norm(left)
-        if length < 1e-9:  # along the axis: any direction
+        if length < 1e-9:  # the view is along the axis: any direction will do
             left = np.cross(np.eye(3)[int(np.argmin(np.abs(forward)))], forward)
             length = np.linalg.norm(left)
         left = left / length
@@ -171,7 +171,7 @@ class Pose:
         }
 
     def placed(self, message: Mapping[str, Any], problem: Problem) -> Pose:
-        """The pose with values as :meth:`plain` gives them. Raises :class:`OptionError`."""
+        """The pose with values in the form of :meth:`plain`. Raises :class:`OptionError`."""
         pose, space = self, problem.space
         if "origin" in message:
             pose = replace(pose, origin=space.from_scene(numbers(message, "origin", 3)))
@@ -203,13 +203,13 @@ class Pose:
 
     @property
     def is_plain(self) -> bool:
-        """Whether position, target, up and field of view say all."""
+        """Whether position, target, up and field of view describe the whole pose."""
         own = self.own
         return bool(np.allclose(own @ own.T, np.eye(3), atol=1e-4) and np.linalg.det(own) > 0)
 
 
 def place(sensor: mi.Sensor, pose: Pose) -> None:
-    """Give a sensor the pose. Its matrices stay variables of the kernels, which are not compiled again."""
+    """Give a sensor the pose. Matrices stay variables of the kernels, which are not compiled again."""
     import mitsuba as mi
 
     parameters = mi.traverse(sensor)
@@ -255,7 +255,7 @@ def _matrix(sensor: mi.Sensor) -> Array:
 
 
 def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float:
-    """How far ahead is what the middle of the picture shows, or the scene's middle."""
+    """Distance ahead of the surface in the middle of the picture; without one, distance of the scene's middle."""
     import mitsuba as mi
 
     ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
@@ -270,7 +270,7 @@ def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float
 
 
 def _swung(offset: Array, axis: Array, right: float, up: float) -> Array:
-    """A vector turned around the axis and towards it, but not over it."""
+    """A vector turned around the axis and towards the axis, but not across it."""
     offset = _rotated(offset, axis, right)
     length = float(np.linalg.norm(offset))
     angle = math.acos(min(1.0, max(-1.0, float(offset @ axis) / length)))
@@ -282,7 +282,7 @@ def _swung(offset: Array, axis: Array, right: float, up: float) -> Array:
 
 
 def _upright(own: Array) -> Array:
-    """``own`` without its roll: the picture's vertical is the axis that is up."""
+    """``own`` without its roll: the picture's vertical is the up axis."""
     sine, cosine = own[0, 1], own[1, 1]
     length = math.hypot(sine, cosine)
     if length == 0.0:
@@ -292,7 +292,7 @@ def _upright(own: Array) -> Array:
 
 
 def _rotated(vector: Array, axis: Array, angle: float) -> Array:
-    """By Rodrigues' formula."""
+    """``vector`` rotated around ``axis``, by Rodrigues' formula."""
     cos, sin = math.cos(angle), math.sin(angle)
     turned: Array = vector * cos + np.cross(axis, vector) * sin + axis * (axis @ vector) * (1.0 - cos)
     return turned

@@ -1,4 +1,4 @@
-"""The cell of a notebook that is running, so that running it again ends the viewer that it opened before."""
+"""The running cell of a notebook: running the cell again ends the viewer that it opened before."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 
 class Cell(NamedTuple):
-    """A cell, and which time it is running; both empty outside notebooks that name their cells."""
+    """A cell and its run; both empty outside notebooks that name their cells."""
 
     cell: str = ""
     run: str = ""
@@ -18,7 +18,7 @@ class Cell(NamedTuple):
 
 
 def running_cell() -> Cell:
-    """The cell in which this is called. Frontends such as JupyterLab send its id with each request to run it."""
+    """The cell of the caller. Frontends such as JupyterLab send the id of a cell with each request to run it."""
     shell: Any = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     parent: Any = getattr(getattr(shell, "kernel", None), "get_parent", dict)()
     try:

@@ -1,4 +1,4 @@
-"""A page that is connected: messages on their way to it. A slow one loses pictures, never delays the session."""
+"""A connected page and the messages on their way to it. A slow page loses pictures and never delays the session."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .protocol import packed
 from .shown import encoded
 
-#: Pictures on their way to a page that it has not yet drawn.
+#: Most pictures sent to a page that it has not yet drawn.
 IN_FLIGHT = 2
 #: Messages that are replaced by later ones of the same kind if they have not been sent; all others are sent in order.
 REPLACED = ("state", "camera", "progress")
@@ -26,7 +26,7 @@ class Socket(Protocol):
     """The part of a WebSocket that is used."""
 
     def write_message(self, message: str | bytes, binary: bool = False) -> Any:
-        """Begin to send; the result can be awaited."""
+        """Start sending; the result can be awaited."""
         ...
 
     def close(self, code: int | None = None, reason: str | None = None) -> None:
@@ -82,7 +82,7 @@ class Client:
         if self.closed:
             return
         if kind in REPLACED:
-            self._latest.pop(kind, None)  # so that it comes after those that are older
+            self._latest.pop(kind, None)  # so that older messages come first
             self._latest[kind] = message
         else:
             self._waiting += len(message)
@@ -108,9 +108,9 @@ class Client:
     async def _send_all(self) -> None:
         while not self.closed and (message := self._next()) is not None:
             try:
-                # Awaited until it has left for the network: what comes meanwhile replaces what is waiting.
+                # Awaited until the message has left for the network; later messages replace waiting ones meanwhile.
                 await self._socket.write_message(message, binary=isinstance(message, bytes))
-            except Exception:  # closed meanwhile; whatever the connection raises, it is over
+            except Exception:  # closed meanwhile: any error ends the connection
                 self.close()
 
     def _next(self) -> str | bytes | None:
@@ -129,7 +129,7 @@ class Client:
 
 
 class Audience:
-    """The pages of a session, and the latest pictures, which those that come later get as well."""
+    """The pages of a session, and the latest pictures, which pages that connect later get as well."""
 
     def __init__(self) -> None:
         self._clients: list[Client] = []
@@ -143,13 +143,13 @@ class Audience:
         return len(self._clients)
 
     def add(self, client: Client) -> None:
-        """A page that gets all that is sent from now on, and the latest pictures."""
+        """Add a page: it gets the latest pictures, and all messages from now on."""
         self._clients.append(client)
         for side, (frame, message) in self._frames.items():
             client.send_frame(side, frame, message)
 
     def remove(self, client: Client) -> None:
-        """A page that is gone."""
+        """Remove a page that has disconnected."""
         if client in self._clients:
             self._clients.remove(client)
 
@@ -172,5 +172,5 @@ class Audience:
             client.send_frame(side, self._count, message)
 
     def hide(self, side: str) -> None:
-        """There is no picture of a side any more."""
+        """Forget the latest picture of a side."""
         self._frames.pop(side, None)

@@ -1,4 +1,4 @@
-"""What messages of pages do. All of it runs in the session's thread; errors are told in the page that asked."""
+"""Handlers of the messages of pages. They run in the session's thread; errors are shown in the page that asked."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .refining import Still, checked
 if TYPE_CHECKING:
     from .session import Session
 
-#: What pages are told at the end.
+#: Message to the pages at the end.
 ENDED = "The session has ended; this page can be closed."
 
 #: Largest and smallest side of a picture, in pixels.
@@ -32,7 +32,7 @@ _SIDES = 16, 4096
 
 
 def handle(session: Session, client: Client, message: Mapping[str, Any]) -> None:
-    """Do what a message asks for. Raises :class:`OptionError` for one that is not understood."""
+    """Do what a message asks for. Raises :class:`OptionError` for an unknown or invalid message."""
     kind = message["type"]
     if kind not in COMMANDS:
         raise OptionError(f"there is no message '{kind}'; {suggest(kind, COMMANDS)}")
@@ -161,7 +161,7 @@ def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> No
         problem, _ = _scene(session)
         _fit(session, problem, size)
         assert session.home is not None
-        session.move(session.home)  # which the reference was made with
+        session.move(session.home)  # the camera with which the reference was made
         session.compare(Comparison(name=name, reference=picture, map=as_map))
     elif message.get("method"):
         _scene(session)
@@ -271,7 +271,7 @@ def _index(value: Any, count: int) -> int:
 
 
 def _radiance(session: Session, x: float, y: float) -> list[float] | None:
-    """That of the picture; ``None`` while there is none of this view."""
+    """Radiance of the picture at a place; ``None`` before the first picture of this view."""
     if "image" not in session.layers or session.main is None or not session.main.passes:
         return None
     image = session.layers["image"]

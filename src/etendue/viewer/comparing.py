@@ -1,4 +1,4 @@
-"""The picture beside the picture: by a second method, or a reference, and the error between them."""
+"""A second picture beside the first, by a second method or a reference, and the error between both."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Picture = NDArray[np.float32]
 
-#: Settings that a second method has of the first, unless it is given its own: those of every method.
+#: Settings that a second method takes from the first unless it has its own: settings that every method has.
 _SHARED = {field.name for field in fields(methods.ImageSettings)} - {"samples_per_pass"}
 
 
@@ -35,14 +35,14 @@ class Comparison:
     reference: Picture | None = None
     map: bool = False  #: show the error instead of the picture
     refinement: Refinement | None = None
-    _told: str = ""  # the latest line
+    _told: str = ""  # the latest line that ``tell`` got
 
     def state(self) -> dict[str, Any]:
-        """For the page."""
+        """Plain values for the page."""
         return {"method": self.method, "settings": dict(self.settings), "reference": self.name, "map": self.map}
 
     def restart(self) -> None:
-        """What is rendered has changed."""
+        """Drop the second refinement, because the scene or the view has changed."""
         self.refinement = None
 
     def turn(self, main: Refinement, asked: Asked) -> Refinement | None:
@@ -60,7 +60,7 @@ class Comparison:
         return self.refinement
 
     def layers(self) -> Mapping[str, Picture] | None:
-        """Its layers, ``None`` before the first pass."""
+        """Layers of the second picture, ``None`` before the first pass."""
         if self.reference is not None:
             return {"image": self.reference}
         result = self.refinement.result() if self.refinement is not None else None
@@ -69,8 +69,8 @@ class Comparison:
     def shown(
         self, show: Show, stops: float, image: Picture, tell: Callable[[str], object]
     ) -> tuple[NDArray[np.uint8], dict[str, Any]] | None:
-        """(what is seen of it, its progress), ``None`` before the first pass. ``image``: the picture that it is beside.
-        If it lacks a layer that a denoiser needs, ``tell`` gets a line, and it is shown as it is."""
+        """(the second picture as shown, its progress), ``None`` before the first pass. ``image``: the first picture.
+        If the second lacks a layer that a denoiser needs, ``tell`` gets a line, and it is shown without denoising."""
         layers = self.layers()
         if layers is None:
             return None

@@ -42,7 +42,7 @@ def method_list() -> list[dict[str, Any]]:
 
 
 def changed(settings: type[Settings], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of ``values`` that differ from the defaults. Raises :class:`OptionError` for values that are not valid."""
+    """The ``values`` that differ from the defaults. Raises :class:`OptionError` for values that are not valid."""
     checked, default = settings.from_mapping(values), settings()
     return {name: getattr(checked, name) for name in values if getattr(checked, name) != getattr(default, name)}
 

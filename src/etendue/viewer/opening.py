@@ -21,8 +21,8 @@ from .server import Server
 from .session import Session
 from .states import Asked
 
-#: Viewers that are open, also those that nobody else holds: their threads go on. A process that ends in the middle of a
-#: kernel may crash, so they are closed before.
+#: All open viewers, also viewers without another reference: their threads go on. A process that ends in the middle of a
+#: kernel may crash, so viewers are closed before the process ends.
 _open: set[Viewer] = set()
 #: Why a viewer is closed when its cell opens another one.
 _AGAIN = "this cell was run again"
@@ -37,7 +37,7 @@ def _close_all() -> None:
 
 
 def _close_earlier(cell: Cell) -> None:
-    """Close the viewers of earlier runs of a cell, which have no page any more, and those that a page has ended."""
+    """Close the viewers of earlier runs of a cell, which have no page any more, and viewers that a page has ended."""
     for viewer in list(_open):
         if cell.is_again(viewer._cell):
             viewer._why = _AGAIN
@@ -63,7 +63,7 @@ class Viewer:
             raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
         self._address = given_address(address)
-        self._why = ""  # it has ended, if there is more to say
+        self._why = ""  # reason for the end, if known
         self._cell = running_cell()
         _close_earlier(self._cell)  # before the port is taken and the scene loaded
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
@@ -78,8 +78,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """The address of the page, with the token without which nothing is answered; below ``address`` if one was
-        given."""
+        """The address of the page, with the token that every request needs; below ``address`` if that was given."""
         server = self._server
         return reached(self._address, server.port, server.token) if self._address else server.url
 
@@ -88,11 +87,11 @@ class Viewer:
         return webbrowser.open(self._server.url)
 
     def loaded(self, timeout: float | None = None) -> bool:
-        """Wait until the scene is loaded, or could not be; returns whether it is so."""
+        """Wait until loading the scene has ended, also by failure; returns whether it has."""
         return self._session.opened.wait(timeout)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the session is ended, by a page or by :meth:`close`; returns whether it is."""
+        """Wait until a page or :meth:`close` has ended the session; returns whether it has ended."""
         return self._session.ended.wait(timeout)
 
     def close(self) -> None:
@@ -117,8 +116,8 @@ class Viewer:
     def _repr_html_(self) -> str:
         if self._session.ended.is_set():
             return f"<p>The viewer has ended{f': {self._why}' if self._why else ''}.</p>"
-        # An object and not an iframe: where the server is gone, as in a notebook that was saved, browsers show what is
-        # in the object instead of an error page. It is inline, so that its height is that of the live page only.
+        # An object and not an iframe: without the server, as in a saved notebook, browsers show the content of the
+        # object instead of an error page. It is inline, so that only the live page has the fixed height.
         return (
             '<div style="box-sizing: border-box; width: 100%; overflow: hidden; border: 1px solid #8888; '
             f'border-radius: 6px"><object type="text/html" data="{escape(self.url)}" aria-label="étendue viewer" '
@@ -154,18 +153,19 @@ def view(
     :func:`etendue.render`.
 
     The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. It answers pages of this
-    machine's names; ``allow_origin`` are those of a hub or proxy before it, such as ``https://hub.example.org``.
-    ``address`` is where the reader's browser reaches the server if that is another machine: a URL, whose origin is
-    allowed then, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default that of the
-    environment variable ``ETENDUE_VIEW_ADDRESS``, else the server itself.
+    machine's names; ``allow_origin`` are origins of a hub or proxy before it, such as ``https://hub.example.org``.
+    ``address`` is the address at which the reader's browser reaches a server on another machine: a URL, whose origin is
+    then allowed, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default the value of
+    the environment variable ``ETENDUE_VIEW_ADDRESS``, else the server's own address.
 
-    The session goes on in the background until ``close()``, or until the same cell of a notebook is run again; while it
-    does, use no other Mitsuba or Dr.Jit code in this process, or pause it in the page. Files that are saved are written
-    to ``folder``. ``tev`` is the address of the image viewer tev, such as ``localhost:14158``, which then shows the
-    picture and its layers, too. ``solution`` is a file of a solution of radiosity, which the 3-D view then shows.
+    The session goes on in the background until ``close()``, or until the same cell of a notebook is run again. During
+    this time use no other Mitsuba or Dr.Jit code in this process, or pause the session in the page. Files that are
+    saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as ``localhost:14158``, which
+    then shows the picture and its layers, too. ``solution`` is a file of a solution of radiosity, which the 3-D view
+    then shows.
 
-    Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
-    scene that cannot be loaded is told in the page, where another can be opened.
+    Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. If
+    a scene cannot be loaded, the page says so, and another scene can be opened there.
     """
     methods.get(method).Settings.check_arguments(settings, f"method '{method}'", view)
     use_variant(variant)

@@ -1,4 +1,4 @@
-"""Small pictures while the camera moves: paths of few edges, one a pixel, at a resolution that keeps the pace.
+"""Small pictures while the camera moves: short paths, one a pixel, at a resolution that keeps the frame rate.
 
 A pass of a small picture spends most of its time in Python, which traces its kernel anew; ``core.Frozen`` keeps the
 trace (of 17 to 52 ms of a tiny picture, 4 to 8 remain).
@@ -23,7 +23,7 @@ from .camera import Pose, place
 
 #: Seconds that a moving picture should take, and pixels of the first one and the smallest.
 _TARGET, _FIRST_PIXELS, _LEAST_PIXELS = 0.06, 60_000, 6_000
-#: A picture that takes so many times as long is not waited for twice.
+#: After one picture that takes so many times the target the resolution is lowered.
 _FAR = 3.0
 #: Ratios of the side of the picture to that of the moving picture.
 _STEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16)
@@ -64,8 +64,8 @@ class Preview:
         return max(1, round(width / scale)), max(1, round(height / scale))
 
     def _adapt(self) -> None:
-        """Change the resolution if the pace asks for it. The first picture of one, which may compile, does not count,
-        and a higher one must be clearly fast enough, so that it does not change to and fro."""
+        """Adapt the resolution to the measured times. The first picture at a resolution, which may compile, does not
+        count, and a higher resolution must be clearly fast enough, so that resolutions do not alternate."""
         slow = len(self._seconds) > 1 and self._seconds[-1] > _FAR * _TARGET
         if len(self._seconds) < 4 and not slow:
             return

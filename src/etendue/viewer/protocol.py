@@ -1,14 +1,14 @@
 """Messages between the page and the session, over one WebSocket.
 
-A message is a JSON object with a ``type``, sent as text. One with data beside it (pictures, arrays) is sent in binary
-form: a 32-bit little-endian number n, n bytes of JSON (padded with spaces so that the data begins at a multiple of
-eight bytes), then the data.
+A message is a JSON object with a ``type``, sent as text. A message with data (pictures, arrays) is sent in binary form:
+a 32-bit little-endian number n, n bytes of JSON (padded with spaces so that the data begins at a multiple of eight
+bytes), then the data.
 
 Page to session:
 
 ==================  ====================================================================================================
-``drawn``           ``frame``: the page has drawn this frame. The server sends no picture to a client that has not drawn
-                    the last two; it sends the latest then, and leaves out those between
+``drawn``           ``frame``: the page has drawn this frame. The server sends no picture to a page that has not drawn
+                    the last two; afterwards it sends the latest picture and leaves out the pictures between
 ``camera``          ``orbit`` [right, up], ``look`` [right, up], ``pan`` [right, up], ``fly`` [right, up, forward],
                     ``dolly``, ``zoom``, ``roll``: movements, angles in radians, lengths relative to the distance of the
                     target; or ``set`` {origin, target, up, fov}; or ``reset``: true
@@ -18,9 +18,9 @@ Page to session:
                     [width, height] of the film, ``paused``, ``again``: true
 ``show``            any of ``layer``, ``denoise`` ("" for none), ``radius``, ``strength``, ``curve``, ``exposure``
                     (stops or "auto")
-``compare``         ``method`` with ``settings``, or ``reference`` (an EXR on the machine of the session), or neither to
-                    stop; ``map``: whether to show the error map instead of the second picture
-``open``            ``scene``: a scene file or the name of a bundled scene
+``compare``         ``method`` with ``settings``, or ``reference`` (a picture file on the machine of the session), or
+                    neither to stop; ``map``: whether to show the error map instead of the second picture
+``open``            ``scene``: a scene file, the name of a bundled scene, or a picture file
 ``save``            ``what``: picture, scene or run; ``name``: of the file; answered by ``saved``
 ``quit``            end the session
 ``PANEL.verb``      for the panel of that name, see :class:`etendue.viewer.panels.Panel`
@@ -29,20 +29,20 @@ Page to session:
 Session to page:
 
 ==================  ====================================================================================================
-``about``           what there is to choose from, and the panels' modules; the first message
-``state``           all that the controls show, see ``Session.state``; sent to all pages after every change
-``frame``           with data, an encoded picture: ``frame`` (number), ``side`` ("a", or "b" for what is compared),
+``about``           the available choices, and the panels' modules; the first message
+``state``           everything that the controls show, see ``Session.state``; sent to all pages after every change
+``frame``           with data, an encoded picture: ``frame`` (number), ``side`` ("a", or "b" for the second picture),
                     ``width``, ``height``, ``format`` (MIME type), ``moving``
 ``camera``          the pose of a moving picture, as in the state
-``progress``        of the picture: passes, samples, seconds, rays per second, noise, error against the other
-``picked``          what is seen there: shape, material, position, depth, radiance
+``progress``        of the picture: passes, samples, seconds, rays per second, noise, error against the second picture
+``picked``          at this place: shape, material, position, depth, radiance
 ``saved``           ``path``, and ``file``, the name under which the page can download it (``files/NAME``)
 ``error``, ``note`` ``text``: one line; also written to the terminal
 ``PANEL.verb``      from a panel, with or without data
 ==================  ====================================================================================================
 
-All pages of a server share one session: they see the same picture, camera and settings, as on a shared screen. What
-belongs to a page alone is how it is laid out, and the place of the slider between two pictures.
+All pages of a server share one session: they see the same picture, camera and settings, as on a shared screen. Only
+the layout of a page, and the place of the slider between two pictures, belong to the page itself.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def _refused(constant: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """``value`` for JSON: NumPy's numbers as Python's, those that are not finite as null."""
+    """``value`` for JSON: NumPy's numbers become Python's, numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,5 +1,5 @@
-"""A picture that is refined pass by pass, by a method of the registry through the engine's protocol; or one of a
-file."""
+"""A picture that is refined pass by pass, by a method of the registry through the engine's protocol; or a picture
+from a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from etendue.scene import Problem
 
 #: Growth of the number of passes between two estimates of the noise.
 _CADENCE = 1.05
-#: Endings of pictures.
+#: File name endings of pictures.
 _PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".hdr")
 
 
@@ -30,7 +30,7 @@ class Refinement:
         kind = methods.get(method)
         self.problem, self.budget, self.seed = problem, budget, seed
         self.settings = checked(problem, method, settings)
-        # Few samples a pass, so that the camera does not wait long; passes of chosen sizes are for files.
+        # One sample a pass unless the settings give another number, so that the camera does not wait long.
         one = self.settings if self.settings.samples_per_pass else self.settings.replace(samples_per_pass=1)
         self._replica = Replica(self._prepared(kind, one), seed)
         if (plan := getattr(self.method, "plan", None)) is not None:
@@ -68,12 +68,12 @@ class Refinement:
 
     @property
     def _is_quiet(self) -> bool:
-        """Whether the noise is that of the budget, by an estimate of enough passes."""
+        """Whether the noise is within the budget's error, by an estimate from enough passes."""
         known = self.budget.error is not None and self.noise is not None and self.passes >= LEAST_PASSES_FOR_ERROR
         return known and self.noise <= self.budget.error  # type: ignore[operator]
 
     def step(self) -> None:
-        """Make a pass and add it."""
+        """Make a pass and add it to the picture."""
         begin = time.perf_counter()
         made = self._replica.step(self.passes)
         seconds = time.perf_counter() - begin
@@ -116,7 +116,7 @@ class Refinement:
         return result
 
     def progress(self) -> dict[str, Any]:
-        """For the page."""
+        """Plain values for the page."""
         return {
             "method": self.method.name,
             "passes": self.passes,
@@ -129,7 +129,7 @@ class Refinement:
 
 
 class Still:
-    """A picture of a file with its layers, in place of one that is refined. Raises the errors of reading it."""
+    """A picture from a file with its layers, in place of a refined picture. Raises the errors of reading the file."""
 
     is_done, passes = True, 1
 
@@ -146,7 +146,7 @@ class Still:
 
     @property
     def method(self) -> str:
-        """That which made it, if the file tells."""
+        """The method that made the picture, if the file says so."""
         return str(self._result.metadata.get("method", "picture"))
 
     def result(self) -> Result:
@@ -154,7 +154,7 @@ class Still:
         return Result(dict(self._result.layers), dict(self._result.metadata))
 
     def progress(self) -> dict[str, Any]:
-        """For the page, as far as the file tells."""
+        """Plain values for the page, as far as the file has them."""
         about = self._result.metadata
         known = {key: about.get(key, 0) for key in ("passes", "samples", "seconds")}
         return {
@@ -166,10 +166,10 @@ class Still:
 
 
 def is_picture(source: Any) -> bool:
-    """Whether a source is the file of a picture, by its ending."""
+    """Whether a source is a picture file, by its ending."""
     return isinstance(source, (str, os.PathLike)) and Path(source).suffix.lower() in _PICTURES
 
 
 def checked(problem: Problem, method: str, settings: Mapping[str, Any]) -> Any:
-    """The settings of a method on a scene: given ones, then those of the scene's integrator, then the defaults."""
+    """The settings of a method on a scene: the given ones, else those of the scene's integrator, else the defaults."""
     return task_settings(Task(problem.scene, methods.get(method), settings), problem)

@@ -1,4 +1,4 @@
-"""Files that a session writes, in its folder: the picture, the scene, and a run file that repeats the whole."""
+"""Files that a session writes to its folder: the picture, the scene, and a run file that repeats the picture."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from .refining import Refinement, Still
 if TYPE_CHECKING:
     from .session import Session
 
-#: What can be saved, with the ending of the name.
+#: Kinds of files, with the endings of their names.
 KINDS = {"picture": (".exr", ".png"), "scene": (".xml",), "run": (".toml",)}
 
 
 def save(session: Session, what: str, name: str) -> Path:
-    """Write a file and return its path. Raises :class:`OptionError` for a name that is not that of a plain file with
-    the right ending, :class:`OutputError` if it cannot be written, :class:`SceneError` for a scene in memory."""
+    """Write a file and return its path. Raises :class:`OptionError` unless the name is that of a plain file with the
+    right ending, :class:`OutputError` if the file cannot be written, :class:`SceneError` for a scene in memory."""
     if what not in KINDS:
         raise OptionError(f"what can be saved is {', '.join(KINDS)}, not '{what}'")
     endings = KINDS[what]
@@ -49,7 +49,7 @@ def save(session: Session, what: str, name: str) -> Path:
 
 
 def _spare_scene(session: Session, path: Path) -> None:
-    """Raise :class:`OptionError` if a file is the scene, or the picture, that is open."""
+    """Raise :class:`OptionError` if ``path`` is the open scene or the open picture."""
     is_still = isinstance(session.main, Still)
     own = session.asked.scene if is_still else (_source(session.asked.scene) or {}).get("file")
     if own is not None and path.exists() and os.path.samefile(path, own):
@@ -76,8 +76,8 @@ def _save_picture(session: Session, path: Path) -> None:
 
 
 def _save_scene(session: Session, path: Path) -> None:
-    """The scene as XML: with the session's camera, its lights, the edits of panels, and the size that is asked for.
-    Meshes and pictures that it has in memory are written to a folder beside it."""
+    """The scene as XML: with the session's camera, its lights, the edits of panels, and the requested size. Meshes
+    and pictures that the scene has in memory are written to a folder beside the file."""
 
     def change(state: mi.parser.ParserState) -> None:
         session.asked.lights(state)
@@ -94,7 +94,7 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
     pose, problem = session.pose, session.problem
     matrix = pose.matrix()
     matrix[:3, 3] = problem.space.to_scene(pose.origin)
-    if graph.plugin_name(problem.sensor) == "orthographic":  # whose transform has the size of the view
+    if graph.plugin_name(problem.sensor) == "orthographic":  # the transform contains the size of the view
         matrix[:3, :2] /= problem.space.scale
     sensors = [node for node in state.nodes if node.type == mi.ObjectType.Sensor]
     if session.asked.sensor >= len(sensors):
@@ -108,7 +108,7 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
 
 
 def _save_run(session: Session, path: Path) -> None:
-    """A run file. The scene is written beside it unless its file and a camera of the run file say all."""
+    """A run file. The scene is written beside it unless the scene's file and a camera table describe it completely."""
     assert session.problem is not None and session.pose is not None
     asked, moved = session.asked, session.pose is not session.home
     own, camera = _source(asked.scene), _run_camera(session)
@@ -124,8 +124,8 @@ def _save_run(session: Session, path: Path) -> None:
 
 
 def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: str) -> str:
-    """The text of a run file that repeats the session's picture, in files of that name. ``tables``: those that tell the
-    scene and its camera."""
+    """The text of a run file that repeats the session's picture, in files called ``name``. ``tables``: the
+    tables of the scene and its camera."""
     assert session.problem is not None
     asked, problem = session.asked, session.problem
     budget = asked.budget.to_dict() or {"samples": _samples(session)}
@@ -144,7 +144,7 @@ def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: st
 
 
 def _run_camera(session: Session) -> dict[str, Any] | None:
-    """The table of a run file for the camera; ``None`` if it cannot tell this one."""
+    """The table of a run file for the camera; ``None`` if a table cannot describe this camera."""
     assert session.problem is not None and session.pose is not None
     problem, pose = session.problem, session.pose
     if graph.plugin_name(problem.sensor) not in MOVABLE or not pose.is_plain or pose.fov is None:
@@ -153,7 +153,7 @@ def _run_camera(session: Session) -> dict[str, Any] | None:
 
 
 def _samples(session: Session) -> int:
-    """Those of the picture, or of the scene's file before the first pass."""
+    """Samples per pixel of the picture; before the first pass, of the scene's file."""
     assert session.problem is not None
     main = session.main
     return main.samples if isinstance(main, Refinement) and main.samples else max(1, session.problem.spp)

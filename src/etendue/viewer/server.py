@@ -1,9 +1,9 @@
-"""The server: the page, its assets, saved files, and the WebSocket of a session, for those who know the token.
+"""The server: the page, its assets, saved files, and the WebSocket of a session, for requests with the token.
 
-Every address begins with the token (``/TOKEN/``), so that the relative addresses of the page have it, in a frame of a
-notebook as well, where cookies of another site are refused. A request is answered only if it asks for a name of this
-machine, by the header Host, and comes from a page of this server, by the header Origin; one without Origin, from a
-program, needs the token alone. Further origins can be allowed, see :mod:`etendue.viewer.access.trusted`.
+Every address begins with the token (``/TOKEN/``), so that the relative addresses of the page contain it, also in a
+frame of a notebook, where cookies of another site are refused. A request is answered only if its header Host is a name
+of this machine and its header Origin a page of this server; a request without Origin, from a program, needs the token
+alone. Further origins can be allowed, see :mod:`etendue.viewer.access.trusted`.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ _HEADERS = {
 
 
 class Served(Protocol):
-    """What a server needs of a session. All of it may be called from any thread, and returns at once."""
+    """The methods of a session that a server uses. They may be called from any thread, and return at once."""
 
     def join(self, client: Client) -> None:
         """A page has connected."""
         ...
 
     def leave(self, client: Client) -> None:
-        """A page is gone."""
+        """A page has disconnected."""
         ...
 
     def post(self, client: Client, message: dict[str, Any]) -> None:
@@ -55,8 +55,8 @@ class Served(Protocol):
 
 
 class Server:
-    """A server in a thread of its own. ``origins``: those of hubs and proxies that it answers as well. Raises
-    :class:`OptionError` if the address cannot be used, or for an origin that is none."""
+    """A server in a thread of its own. ``origins``: further origins that it answers, of hubs and proxies.
+    Raises :class:`OptionError` if the address cannot be used, or for an invalid origin."""
 
     def __init__(self, session: Served, host: str = "127.0.0.1", port: int = 0, origins: Iterable[str] = ()) -> None:
         library("tornado", _PURPOSE, _EXTRA)
@@ -83,7 +83,7 @@ class Server:
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self.token}/"
 
     def close(self, why: str = "") -> None:
-        """Disconnect all pages and end the thread. ``why`` is told to the pages, in at most 123 bytes."""
+        """Disconnect all pages and end the thread. ``why`` is sent to the pages, in at most 123 bytes."""
         self._why = why
         if self._loop is not None and self._stop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stop.set)
@@ -91,7 +91,7 @@ class Server:
             self._thread.join(timeout=5.0)
 
     def knows(self, token: str) -> bool:
-        """Whether ``token`` is that of the server, in the same time for any."""
+        """Whether ``token`` is that of the server, in a time that does not depend on the token."""
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     # ------------------------------------------------------------------ in the server's thread
@@ -143,7 +143,7 @@ def application(server: Server) -> Any:
     from tornado.websocket import WebSocketHandler
 
     def check(handler: RequestHandler) -> None:
-        """Refuse those who do not know the token, and pages from elsewhere. In ``prepare``, which every request passes:
+        """Refuse requests without the token, and pages of other servers. Called in ``prepare``, by every request:
         tornado asks ``check_origin`` for WebSockets only, and from 6.6 on not if Origin and Host agree."""
         if not server.knows(handler.path_args[0] if handler.path_args else ""):
             raise HTTPError(403, reason="The address needs the token that etendue view has printed")
@@ -155,7 +155,7 @@ def application(server: Server) -> Any:
             handler.finish(f"403: {why}\n")
 
     class Guarded(RequestHandler):
-        """Refuses those who do not know the token, and pages from elsewhere."""
+        """Refuses requests without the token, and pages of other servers."""
 
         def set_default_headers(self) -> None:
             for name, value in _HEADERS.items():
@@ -169,7 +169,7 @@ def application(server: Server) -> Any:
             self.finish(f"{status_code}: {self._reason}\n")
 
     class Bare(Guarded):
-        """The token without the slash after it, which relative addresses need."""
+        """Adds the slash after the token, which relative addresses need."""
 
         def get(self, token: str) -> None:
             self.redirect(f"{token}/")  # relative, since a proxy may have put a path before it

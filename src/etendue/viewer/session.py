@@ -1,7 +1,7 @@
-"""A session: a scene, its camera and a picture of it that is refined, in a thread of its own.
+"""A session: a scene, its camera and a picture that is refined, in a thread of its own.
 
-Only this thread uses Mitsuba and Dr.Jit. Between two passes it takes the messages of the pages; while the camera moves
-it makes small pictures, afterwards passes of the chosen method.
+Only this thread uses Mitsuba and Dr.Jit. Between two passes it handles the messages of the pages; while the camera
+moves it makes small pictures, afterwards passes of the chosen method.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _THREAD = "etendue-viewer"
 
 class Session:
     """See the module. The public attributes belong to the session's thread; :meth:`join`, :meth:`leave`, :meth:`post`,
-    :meth:`file`, :meth:`close`, :attr:`opened` and :attr:`ended` may be used from any."""
+    :meth:`file`, :meth:`close`, :attr:`opened` and :attr:`ended` may be used from any thread."""
 
     def __init__(self, asked: Asked) -> None:
         self.asked = asked
@@ -56,7 +56,7 @@ class Session:
         self.pose: Pose | None = None
         self.views: list[Pose] = []
         self.show = Show()
-        self.layers: Mapping[str, Picture] = {}  #: of the latest picture of the method, without data before it
+        self.layers: Mapping[str, Picture] = {}  #: layers of the method's latest picture; empty before it
         self.main: Refinement | Still | None = None
         self.compared: Comparison | None = None
         self.paused = False
@@ -66,13 +66,13 @@ class Session:
         self.panels: dict[str, Panel] = {}
         self.opened, self.ended = threading.Event(), threading.Event()
         self.on_picture: Callable[[Mapping[str, Picture]], object] | None = None  #: gets the layers that are shown
-        self.home: Pose | None = None  #: of the scene's own camera
+        self.home: Pose | None = None  #: pose of the scene's own camera
         self._preview: Preview | None = None
         self._moving_until = 0.0  # 0 at rest
         self._moved = False  # since the last moving picture
-        self._dirty = True  # something is to be shown
+        self._dirty = True  # whether the shown picture is outdated
         self._shown_at, self._show_seconds, self._stops = 0.0, 0.0, 0.0
-        self._progress: dict[str, Any] = {}  # as pages were told last
+        self._progress: dict[str, Any] = {}  # the last that was sent
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._flags = jit_flags()
@@ -100,7 +100,7 @@ class Session:
         self._inbox.put(welcome)
 
     def leave(self, client: Client) -> None:
-        """A page is gone. Without pages no passes are made."""
+        """A page has disconnected. Without pages no passes are made."""
         self._inbox.put(lambda: self.clients.remove(client))
 
     def post(self, client: Client, message: Mapping[str, Any]) -> None:
@@ -108,7 +108,7 @@ class Session:
         self._inbox.put(lambda: self._handle(client, message))
 
     def file(self, name: str) -> bytes | None:
-        """A file that was saved, ``None`` for another one."""
+        """The content of a file that was saved, ``None`` for other files."""
         path = self.saved.get(name)
         with contextlib.suppress(OSError):
             return path.read_bytes() if path is not None else None
@@ -124,7 +124,7 @@ class Session:
     # ------------------------------------------------------------------ for commands and panels
 
     def state(self) -> dict[str, Any]:
-        """All that the controls of a page show."""
+        """Everything that the controls of a page show."""
         return states.state(self)
 
     @property
@@ -133,7 +133,7 @@ class Session:
         return self._stops
 
     def changed(self) -> None:
-        """Tell the pages of a new state."""
+        """Send the new state to the pages."""
         self.broadcast("state", **self.state())
 
     def broadcast(self, kind: str, payload: bytes | None = None, /, **fields: Any) -> None:
@@ -141,7 +141,7 @@ class Session:
         self.clients.send(kind, payload, **fields)
 
     def tell(self, error: BaseException | str, client: Client | None = None) -> None:
-        """Show an error in the page, or in all, and in the terminal."""
+        """Show an error in the page of ``client``, or in all pages, and in the terminal."""
         text = describe(error) if isinstance(error, BaseException) else error
         logger.warning("%s", text)
         if isinstance(error, BaseException):
@@ -150,34 +150,34 @@ class Session:
             one.send("error", text=text)
 
     def move(self, pose: Pose | None) -> None:
-        """Show the scene from another pose; a picture of a file has none."""
+        """Show the scene from another pose; ``None`` for a picture from a file."""
         self.pose = pose
         self._moved = True
         self._moving_until = time.monotonic() + _REST
         self.again()
 
     def again(self) -> None:
-        """What is rendered has changed: the picture starts anew."""
+        """Start the picture anew, because scene, camera or method has changed."""
         self.main = self.main if isinstance(self.main, Still) else None
         self.trouble = ""
         if self.compared is not None:
             self.compared.restart()
 
     def refresh(self) -> None:
-        """What is shown of the picture has changed."""
+        """Show the picture again, because layer, exposure or another view setting has changed."""
         self._dirty = True
-        # If there is a moving picture only, that one.
+        # If there is only a moving picture, make that again.
         self._moved |= self.paused and self.main is None and self.problem is not None
 
     def compare(self, other: Comparison | None) -> None:
-        """Show another picture beside this one, or none."""
+        """Show a second picture beside the first, or none."""
         self.compared = other
         self.clients.hide("b")
         self.refresh()
         self.changed()
 
     def scene_edited(self) -> None:
-        """Parameters of the scene were changed in place (``mi.traverse``): nothing made from them is kept."""
+        """Drop everything computed from the scene, because parameters were changed in place (``mi.traverse``)."""
         self._preview = None
         self._moved = True
         for panel in self.panels.values():
@@ -185,8 +185,8 @@ class Session:
         self.again()
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:
-        """Load a scene, or a picture, and show it. Raises the errors of loading; what was there stays then.
-        ``keep_pose``: it is the scene of before, and its camera and views stay where they are."""
+        """Load a scene, or a picture, and show it. Raises the errors of loading; the previous scene is then kept.
+        ``keep_pose``: it is the previous scene, and its camera and views are kept."""
         still = Still(asked.scene) if is_picture(asked.scene) else None
         problem = None if still is not None else asked.load(lambda state: self._change(asked, state))
         home, before = None if problem is None else Pose.of(problem), self.problem
@@ -201,15 +201,15 @@ class Session:
         self.asked, self.problem, self.home, self.views = asked, problem, home, views
         self._preview, self.layers = None, {}  # the preview is made with the first moving picture
         self.main = self.compared = None
-        for panel in self.panels.values():  # which let go of the scene of before
+        for panel in self.panels.values():  # they release the previous scene
             self._guarded(panel.scene_loaded)
-        gc.collect()  # a scene that is alive is a part of every later kernel
+        gc.collect()  # every living scene is a part of later kernels
         self.move(pose)
         self.main, self._moved, self._dirty = still, pose is not None, True
         self._moving_until = 0.0
 
     def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
-        """Change a parsed scene before its objects are built: names for all, lights, and the edits of panels."""
+        """Change a parsed scene before its objects are built: names of elements, lights, and the edits of panels."""
         name_elements(state)
         asked.lights(state)
         same = asked.scene is self.asked.scene and asked.parameters == self.asked.parameters
@@ -241,7 +241,7 @@ class Session:
         self.open(self.asked)
 
     def _take_messages(self, wait: bool) -> None:
-        """Handle all messages there are; ``wait`` for the first one, or until the camera is at rest."""
+        """Handle all messages in the inbox; ``wait``: for the first one, or until the camera is at rest."""
         rests = self._moving_until > 0.0 and self.problem is not None and self.clients
         until = max(self._moving_until - time.monotonic(), 1e-3) if rests else None
         with contextlib.suppress(queue.Empty):
@@ -257,12 +257,12 @@ class Session:
                 self.panels[name].handle(verb, message, client)
             else:
                 commands.handle(self, client, message)
-        except Exception as error:  # whatever a message leads to, the session lives on
+        except Exception as error:  # no error of a message may end the session
             self.tell(error, client)
-            client.send("state", **self.state())  # so that its fields show what holds
+            client.send("state", **self.state())  # so that its fields show the current values
 
     def _guarded(self, work: Callable[[], object], fatal: bool = False) -> bool:
-        """Run ``work``; its errors are told. Returns whether it returned something true."""
+        """Run ``work``; its errors are shown. Returns whether its result is true."""
         try:
             return bool(work())
         except Exception as error:
@@ -272,7 +272,7 @@ class Session:
             return False
 
     def _advance(self) -> bool:
-        """Make the next small piece of the picture; returns whether there is more to do without a message."""
+        """Do the next small part of the work; returns whether there is more to do without a message."""
         if self.problem is None or self.pose is None or not self.clients:
             if isinstance(self.main, Still) and self._dirty and self.clients:
                 self._publish()
@@ -313,12 +313,12 @@ class Session:
         self.broadcast("camera", **states.camera(self.problem, self.pose))
 
     def _refine(self) -> bool:
-        """A pass of the method, or of the one that it is compared with; returns whether there are more."""
+        """A pass of the method or of the second method; returns whether there are more."""
         assert self.problem is not None and self.pose is not None
         try:
             if not isinstance(self.main, Refinement):
                 place(self.problem.sensor, self.pose)
-                self.problem = replace(self.problem)  # without what was computed from the sensor of before
+                self.problem = replace(self.problem)  # without values computed from the previous sensor
                 asked = self.asked
                 self.main = Refinement(self.problem, asked.method, asked.settings, asked.budget, asked.seed)
                 self.changed()
@@ -337,7 +337,7 @@ class Session:
         return True
 
     def _refine_other(self, main: Refinement) -> Refinement | None:
-        """A pass of what the picture is compared with, if it is its turn. If that fails it is left out."""
+        """A pass of the second method, if it is its turn. If the pass fails, the comparison ends."""
         if self.compared is None:
             return None
         try:
@@ -351,13 +351,13 @@ class Session:
             return None
 
     def _stop(self, error: Exception) -> None:
-        """No more passes until something is changed."""
+        """Make no more passes until something is changed."""
         self.trouble = describe(error)
         self.tell(error)
         self.changed()
 
     def _publish(self) -> None:
-        """Show the picture as it is."""
+        """Show the current picture."""
         if self.main is None or (result := self.main.result()) is None:
             return
         self._dirty = False

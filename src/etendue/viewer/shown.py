@@ -1,4 +1,4 @@
-"""From the layers of a picture to what a page shows: a layer, denoised, with exposure and tone curve, encoded."""
+"""From the layers of a picture to the image on a page: a layer, denoised, with exposure and tone curve, encoded."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .protocol import number, text
 Picture = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
-#: Exposures are found from at most so many pixels.
+#: Automatic exposures use about so many pixels.
 _SAMPLES = 1 << 14
-#: Layers that are no light, by what they are.
+#: Names of layers that are not light, by kind.
 _NORMALS, _ALBEDOS, _SHAPES = ("normal", "normals"), ("albedo",), ("shape", "shapes", "shape_id")
 #: Quality of JPEG while the camera moves, and afterwards.
 _MOVING_QUALITY, _QUALITY = 80, 92
@@ -33,7 +33,7 @@ ERROR_RANGE = 1e-4, 1.0
 
 @dataclass(frozen=True)
 class Show:
-    """What is shown of the picture."""
+    """How the picture is shown: layer, denoising, tone curve and exposure."""
 
     layer: str = "image"
     denoise: str = ""
@@ -43,7 +43,7 @@ class Show:
     exposure: float | str = "auto"
 
     def changed(self, message: Mapping[str, Any]) -> Show:
-        """With the values of a ``show`` message. Raises :class:`OptionError`."""
+        """A copy with the values of a ``show`` message. Raises :class:`OptionError`."""
         values: dict[str, Any] = {key: text(message, key) for key in ("layer", "denoise", "curve") if key in message}
         if values.get("denoise"):
             denoiser(values["denoise"])
@@ -65,7 +65,7 @@ class Show:
         return shown
 
     def colours(self, layers: Mapping[str, Picture], stops: float) -> Bytes:
-        """What is seen of ``layers``, eight bits. A layer that is not there is replaced by the picture."""
+        """The layer that is shown, as eight-bit colours. A missing layer is replaced by the picture."""
         name = self.layer if self.layer in layers else "image"
         if name == "image":
             return toned(self.picture(layers), stops, self.curve)
@@ -108,12 +108,12 @@ def choices() -> dict[str, Any]:
 
 
 def layer_names(layers: Mapping[str, Picture]) -> list[str]:
-    """The layers that are offered: the picture first, techniques of a pyramid left out."""
+    """The layers that can be shown, the picture first, without the techniques of a pyramid."""
     return [name for name in layers if not in_pyramid(name)]
 
 
 def toned(picture: Picture, stops: float, curve: str) -> Bytes:
-    """As :func:`etendue.display.tonemap`, by tables over half-precision numbers: as precise as eight bits need, and ten
+    """As :func:`etendue.display.tonemap`, by tables over half-precision numbers: precise enough for eight bits, and ten
     times as fast."""
     tone, curved = CURVES[curve], _tables(curve)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -159,7 +159,7 @@ def _bytes(values: NDArray[Any]) -> Bytes:
 
 
 def _greys(values: Picture) -> Bytes:
-    """From the first to the last hundredth of the values."""
+    """Grey values, from the 1st percentile (black) to the 99th (white)."""
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (1, 99)) if finite.size else (0.0, 1.0)
     scaled = (values - low) / (high - low if high > low and math.isfinite(high - low) else 1.0)

@@ -1,4 +1,4 @@
-"""What a session is asked to show, and what pages are told of it: ``about`` and ``state``."""
+"""The scene and options that a session shows, and the messages that describe them: ``about`` and ``state``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PIXELS = 262_144
 
 @dataclass(frozen=True)
 class Asked:
-    """What a session is asked to show."""
+    """The scene, the method and the options that a session shows."""
 
     scene: Any = None  #: as for :func:`etendue.scene.load`, or the file of a picture
     method: str = "path"
@@ -43,10 +43,10 @@ class Asked:
     solution: Path | None = None  #: of radiosity, to be shown in the 3-D view
 
     def load(self, change: Change) -> Problem:
-        """The scene, its description changed, with a sensor of the session's own, at the size that is asked for or one
-        of a moderate size."""
+        """The scene after ``change``, with a sensor of the session's own, at the requested size or, without one, at a
+        moderate size."""
         options: dict[str, Any] = {"sensor": self.sensor, "parameters": self.parameters, "memory": self.memory}
-        if is_described(self.scene) or self.lights:  # which a scene in memory refuses
+        if is_described(self.scene) or self.lights:  # a scene in memory refuses a change
             options["change"] = change
         problem = load(self.scene, size=self.size, **options)
         width, height = problem.size
@@ -55,13 +55,13 @@ class Asked:
 
 
 def about(session: Session) -> dict[str, Any]:
-    """What there is to choose from, and the panels' modules; does not change."""
+    """The available choices, and the panels' modules; constant."""
     scripts = {name: {"title": panel.title, "script": panel.script} for name, panel in session.panels.items()}
     return {"methods": method_list(), "folder": str(session.asked.folder), "scripts": scripts, **choices()}
 
 
 def state(session: Session) -> dict[str, Any]:
-    """All that the controls of a page show."""
+    """Everything that the controls of a page show."""
     problem, pose, asked = session.problem, session.pose, session.asked
     still = session.main if isinstance(session.main, Still) else None
     return {
@@ -87,7 +87,7 @@ def state(session: Session) -> dict[str, Any]:
 
 
 def _settings(session: Session) -> dict[str, Any]:
-    """All settings of the method on the scene, also before it is prepared; none without a scene or if it refuses."""
+    """All settings of the method on the scene, also before it is prepared; empty without a scene or on an error."""
     asked, problem = session.asked, session.problem
     if isinstance(session.main, Refinement):
         settings: dict[str, Any] = session.main.settings.to_dict()

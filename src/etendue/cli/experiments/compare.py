@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Image = NDArray[np.float32]
 
 _PAGE = "index.html"
-#: Errors that all methods would meet: before the first picture they end a comparison.
+#: Errors that all methods would have: before the first picture they end the comparison.
 _OF_ALL = (OptionError, OutputError, BackendError, ClusterError, SceneError)
 
 

@@ -14,7 +14,7 @@ Image = NDArray[np.float32]
 
 #: Ratio of the times of consecutive points.
 _RATIO = 1.25
-#: Bytes of a picture that is compared at once. Smaller ones are kept and compared after the run, to leave it its time.
+#: Size in bytes from which on a picture is compared at once. Smaller ones are kept and compared after the run.
 _LARGE = 8 << 20
 
 

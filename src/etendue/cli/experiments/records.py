@@ -79,7 +79,7 @@ class Recorder:
         self._handler: logging.Handler | None = None
         self._history = History(self._reference)
         self._earlier = 0.0  # seconds of the run before it was resumed
-        self._save_at: dict[float, float] = {}  # remaining times: those of the runner, and those requested
+        self._save_at: dict[float, float] = {}  # remaining save times: runner's time to requested time
         self._written: dict[Path, None] = {}  # in the order of first writing
 
     @property

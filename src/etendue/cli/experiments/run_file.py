@@ -51,7 +51,7 @@ _OPEN = _Kind(
     lambda v: isinstance(v, dict) and all(map(_PLAIN.test, v.values())), "a table of texts, numbers, true or false"
 )
 
-#: Keys of the tables; those of "" are at the head of the file.
+#: Keys of the tables; the keys of "" are at the head of the file.
 TABLES: Mapping[str, Mapping[str, _Kind]] = {
     "": {"seed": _INDEX, "variant": _TEXT, "threads": _COUNT, "memory": _MEMORY},
     "scene": {"file": _TEXT, "bundled": _TEXT, "sensor": _INDEX, "size": _SIZE, "parameters": _OPEN},

@@ -37,7 +37,7 @@ mean = float(np.array(mi.render(mi.load_dict(box), spp=4)).mean())
 sys.exit(0 if 0.01 < mean < 10 else f"the picture is wrong: its mean is {mean}")
 """
 
-# As in a user's script, where Mitsuba chooses LLVM without étendue.
+# As in a user's script that imports Mitsuba first: Dr.Jit chooses LLVM without étendue.
 _MITSUBA_FIRST = "import mitsuba, drjit; print(drjit.detail.llvm_version()[0])"
 
 

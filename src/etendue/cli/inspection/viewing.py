@@ -92,7 +92,7 @@ def view(
     found = scene if is_picture(scene) else locate(scene, lambda text: note(console, text))
     choose_device(variant, threads)
     if method is None and not is_picture(scene):
-        with suppress(SceneError):  # which the page tells
+        with suppress(SceneError):  # reported by the page
             named = methods.by_plugin(integrator_of(found, parameters))
             method = named.name if named is not None else "path"
     if not host.strip():

@@ -9,7 +9,7 @@ import mitsuba as mi
 
 #: Points of a leaf.
 LEAF = 16
-#: A sort key has the number of a node in its upper bits and a position along an axis below, at most single precision.
+#: A sort key has the number of a node in its upper bits, and below them a position along an axis, of at most 24 bits.
 _KEY_BITS = 32
 _AXIS_BITS = 24
 
@@ -27,8 +27,8 @@ def highest(side: mi.Float, block: int) -> mi.Float:
 def sorted_into_halves(index: mi.UInt32, sides: list[mi.Float]) -> tuple[mi.UInt32, list[mi.Float]]:
     """Reorder the points, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
 
-    A level is one sort by the number of the node and the position along the axis that this node is cut at. The position
-    is rounded to the remaining bits: a cut need not be exact, since the boxes are computed from the points afterwards.
+    Each level takes one sort, by the number of the node and the position along the axis of its cut. The position is
+    rounded to the remaining bits: a cut need not be exact, since the boxes are computed from the points afterwards.
     """
     places = dr.width(index)
     block, depth = places, 0

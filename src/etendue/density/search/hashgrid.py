@@ -20,11 +20,11 @@ from etendue.core import Array
 
 #: State of a search: any state of a Dr.Jit loop.
 S = TypeVar("S")
-#: Largest number of cells along x; with more, cells become wider, which only costs time.
+#: Largest number of cells along x; to stay below it cells become wider, which only costs time.
 _MAX_CELLS_X = 1 << 22
-#: Number of candidates that are tested, a bit each, before the neighbours among them are visited. Alternating between
-#: testing and visiting keeps the lanes of a packet coherent: one candidate in five is a neighbour, so visiting each as
-#: it is found would leave most lanes idle.
+#: Number of candidates that are tested, one bit each, before the neighbours among them are visited. Alternating between
+#: testing and visiting keeps the lanes of a packet coherent: one candidate in five is a neighbour, so visiting each at
+#: once would leave most lanes idle.
 _BATCH = 32
 
 
@@ -33,7 +33,7 @@ class Query:
     """Candidates of one query point per lane: ``total`` of them in up to four ranges."""
 
     total: mi.UInt32
-    _first: list[mi.UInt32]  #: sorted index of candidate 0 as seen from range k
+    _first: list[mi.UInt32]  #: sorted index minus number of a candidate in range k
     _end: list[mi.UInt32]  #: number of candidates in ranges 0..k
 
 
@@ -99,7 +99,7 @@ class HashGrid:
         return ((mi.UInt32(y) * 73856093) ^ (mi.UInt32(z) * 19349663)) & self._mask
 
     def query(self, point: mi.Point3f, active: mi.Bool | bool) -> Query:
-        """Prepare the search around ``point``: lanes that are not active find nothing."""
+        """Prepare the search around ``point``; lanes that are not active find nothing."""
         x, y, z = self._cell(point, 0.5)
         rows = [self._row(v, w) + mi.UInt32(x) for v, w in ((y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1))]
         q = Query(mi.UInt32(0), [], [])
@@ -140,7 +140,7 @@ class HashGrid:
         read: ``read(place) -> (position, wanted)`` of a sorted point; one that is not wanted is not visited.
         visit: ``visit(place, state)`` returns the next state. Traced once.
         state: any state of a Dr.Jit loop.
-        radius_squared: a smaller radius of each lane, squared; by default that of the grid.
+        radius_squared: a smaller radius of each lane, squared; by default the radius of the grid.
         """
         query = self.query(point, active)
         limit = self._radius_squared if radius_squared is None else radius_squared

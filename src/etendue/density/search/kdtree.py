@@ -28,12 +28,12 @@ from .halving import LEAF, highest, lowest, sorted_into_halves
 
 #: State of a search: any state of a Dr.Jit loop.
 S = TypeVar("S")
-_THRESHOLDS = 8  #: at which one search counts
-_KEPT = 8  #: sorted distances that the last search keeps
+_THRESHOLDS = 8  #: number of thresholds at which one search counts points
+_KEPT = 8  #: number of sorted distances that the last search keeps
 #: Factor of the first threshold. Below the k-th distance it costs another search, far above it the first search is
 #: slower.
 _MARGIN = 1.1
-_LARGEST = 3.4e38  #: bound of finite squared distances; that of an empty place is infinite
+_LARGEST = 3.4e38  #: bound of finite squared distances; an empty place has an infinite one
 _UNKNOWN = 0xFFFFFFFF
 
 
@@ -64,7 +64,7 @@ class KdTree:
     order: UInt32 of ``count`` lanes, the index in ``points`` of the point at each place. The caller gathers the payload
         that searches read by it.
 
-    Both searches may be called in a kernel, inside loops too; building evaluates. The mean of the 50 nearest values::
+    All searches may be called in a kernel, also inside loops; building evaluates. The mean of the 50 nearest values::
 
         tree = KdTree(points)
         values = dr.gather(mi.Float, values, tree.order)
@@ -148,10 +148,10 @@ class KdTree:
     def kth_distance_squared(
         self, point: mi.Point3f, k: mi.UInt32 | int, limit: mi.Float | float, active: mi.Bool | bool = True
     ) -> mi.Float:
-        """Squared distance from ``point`` to its ``k``-th nearest point, exact, or ``limit`` if there are fewer below.
+        """Squared distance from ``point`` to its ``k``-th nearest point, exact, or ``limit`` if fewer are within it.
 
-        Points at equal distances count each, so a range search with the result visits at least ``k`` points, more if
-        several are at the k-th distance, and fewer where ``limit`` was reached first.
+        Points at equal distances are all counted, so a range search with the result visits at least ``k`` points, more
+        if several are at the k-th distance, and fewer where ``limit`` was reached first.
 
         Parameters
         ----------
@@ -205,7 +205,7 @@ class KdTree:
         state: S,
         visit: Callable[[mi.UInt32, mi.Float, S], S],
     ) -> S:
-        """The state after a visit to each point of a leaf whose bit is set."""
+        """The state after visiting each point of a leaf whose bit in ``near`` is set."""
 
         def one(near: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
             """Take the neighbour of the lowest bit."""
@@ -255,7 +255,7 @@ class KdTree:
     def _divided(
         self, interval: _Interval, point: mi.Point3f, k: mi.UInt32 | int, limit: mi.Float | float
     ) -> _Interval:
-        """The part of ``interval`` that holds the k-th distance, or the interval behind it."""
+        """The part of ``interval`` that holds the k-th distance, or the interval above it."""
         thresholds = _thresholds(interval)
 
         def count(first: mi.UInt32, found: mi.Bool, counts: tuple[mi.UInt32, ...]) -> tuple[mi.UInt32, ...]:
@@ -269,8 +269,8 @@ class KdTree:
         reach = dr.minimum(interval.upper, _LARGEST)
         counts = self._search(point, reach, interval.wide, tuple(mi.UInt32(0) for _ in thresholds), count)
 
-        # With too few points up to the last threshold, search beyond it; on a surface their number is proportional to
-        # it.
+        # With too few points up to the last threshold, search beyond it: on a surface, the number of points is
+        # proportional to the squared distance.
         growth = dr.clip(1.5 * mi.Float(k) / mi.Float(dr.maximum(counts[-1], 1)), 2.0, 16.0)
         lower, below, upper = thresholds[-1], counts[-1], dr.minimum(thresholds[-1] * growth, limit)
         total = mi.UInt32(_UNKNOWN)
@@ -289,7 +289,7 @@ class KdTree:
     def _smallest_above(
         self, lower: mi.Float, point: mi.Point3f, upper: mi.Float, active: mi.Bool | bool
     ) -> tuple[mi.Float, ...]:
-        """The ``_KEPT`` smallest squared distances above ``lower``, ascending, if no more are up to ``upper``."""
+        """The ``_KEPT`` smallest squared distances above ``lower``, ascending; those beyond ``upper`` may be wrong."""
 
         def keep(first: mi.UInt32, found: mi.Bool, kept: tuple[mi.Float, ...]) -> tuple[mi.Float, ...]:
             smallest = list(kept)
@@ -305,12 +305,12 @@ class KdTree:
         return kept
 
     def _first_guess(self, point: mi.Point3f, k: mi.UInt32 | int, active: mi.Bool | bool) -> mi.Float:
-        """A squared distance near that of the k-th neighbour, from the smallest node here with ``k`` points or more."""
+        """A squared distance near that of the k-th neighbour, from the smallest node here with ``k`` places or more."""
 
         def descend(node: mi.UInt32, places: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
             near = [self._box_distance_squared(child, point) for child in (2 * node, 2 * node + 1)]
             far = [self._farthest_squared(child, point) for child in (2 * node, 2 * node + 1)]
-            # The smaller of two boxes around the point: the other may extend from one surface to another.
+            # If both boxes contain the point, the smaller one: the other may extend from one surface to another.
             second = (near[1] < near[0]) | ((near[1] == near[0]) & (far[1] < far[0]))
             return 2 * node + dr.select(second, mi.UInt32(1), 0), places >> 1
 
@@ -322,7 +322,7 @@ class KdTree:
         )
         side = self._extent(node)
         share = mi.Float(k) / mi.Float(places)
-        # Points on a surface through the box cover a disc; on a line, the second term.
+        # Points on a surface through the box cover a disc, points on a line a segment.
         disc = share * (side.x * side.y + side.y * side.z + side.z * side.x) * dr.inv_pi
         segment = dr.square(0.5 * share) * dr.squared_norm(side)
         guess = self._box_distance_squared(node, point) + _MARGIN * dr.maximum(disc, segment)
@@ -368,9 +368,9 @@ class KdTree:
 
 
 def _thresholds(interval: _Interval) -> list[mi.Float]:
-    """Ascending, the last one the upper end: evenly spaced, alternately in value and in bit pattern.
+    """Ascending, the last is the upper end. They are evenly spaced, alternately in value and in bit pattern.
 
-    The first converges quickly for evenly spread points, the second ends within eleven turns in any case.
+    Values converge quickly for evenly spread points; bit patterns need at most eleven turns in any case.
     """
     lower = dr.maximum(interval.lower, 0.0)
     difference = _bits(interval.upper) - _bits(lower)

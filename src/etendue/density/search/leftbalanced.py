@@ -1,8 +1,8 @@
-"""Left-balanced kd-trees: an order of points in which they are a tree without a single pointer, on the host.
+"""Left-balanced kd-trees: an order of points that is a tree without pointers, on the host.
 
 The node at place i has its children at 2 i + 1 and 2 i + 2. All levels are full but the last, which is filled from the
-left, and level l is cut along the axis l modulo the number of axes, so that a packed record is a node of the tree as it
-is [Bentley 1975; Jensen 2001, ch. 6]. :class:`KdTree` is what searches on the device; this order is for files.
+left, and level l is cut along the axis l modulo the number of axes, so that a packed record needs no further data to be
+a node [Bentley 1975; Jensen 2001, ch. 6]. :class:`KdTree` is for searches on the device; this order is for files.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ Index = NDArray[np.int64]
 
 
 def left_balanced(points: Array) -> Index:
-    """(n,) the point at each place of the tree over points (n, d), level by level."""
+    """(n,) index of the point at each place of the tree over points (n, d), level by level."""
     points = np.asarray(points)
     order = np.empty(len(points), np.int64)
-    # The points of each subtree are a segment of ``left``; ``place`` are the roots.
+    # The points of each subtree are a segment of ``left``; ``place``: the places of the roots.
     left, sizes, place, level = np.arange(len(points)), np.array([len(points)]), np.array([0]), 0
     while len(left):
         segment = np.repeat(np.arange(len(sizes)), sizes)
@@ -27,7 +27,7 @@ def left_balanced(points: Array) -> Index:
         below = _left_of(sizes)
         root = np.cumsum(sizes) - sizes + below
         order[place] = left[root]
-        # The root leaves; what is before and after it are the segments of the next level.
+        # Without the roots, the points before and after each are the segments of the next level.
         left = np.delete(left, root)
         sizes = np.stack([below, sizes - 1 - below], axis=1).ravel()
         place = np.stack([2 * place + 1, 2 * place + 2], axis=1).ravel()
@@ -36,8 +36,8 @@ def left_balanced(points: Array) -> Index:
 
 
 def _left_of(sizes: Index) -> Index:
-    """Points of the left subtree of left-balanced trees of so many points."""
-    full = 2 ** np.floor(np.log2(sizes + 0.5)).astype(np.int64)  # points of the last level, if it were full
+    """Number of points in the left subtree of left-balanced trees of ``sizes`` points."""
+    full = 2 ** np.floor(np.log2(sizes + 0.5)).astype(np.int64)  # points that the last level can hold
     half = full // 2
     found: Index = np.where(sizes > 1, half - 1 + np.minimum(sizes - full + 1, half), 0)
     return found

@@ -1,8 +1,8 @@
 """Gaussian, bilateral and guided filter of a picture, on the device.
 
 Pixels are packets of four floats. Windows end at the border of the picture and weights are normalised there, so that a
-constant picture stays as it is. Colours that decide which pixels are alike are compressed, ``log(1 + x / level)`` with
-the mean luminance as level, because noise of light grows with the light.
+constant picture stays as it is. Colours that are compared between pixels are compressed, ``log(1 + x / level)`` with
+the mean luminance as level, because the noise of light grows with the light.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .pictures import Features, Picture
 _SPACE = 0.5
 #: Differences at which the weight of the bilateral filter is exp(-1/2): compressed colours, albedo, normals.
 _COLOUR, _ALBEDO, _NORMAL = 0.6, 0.1, 0.2
-#: Pixels of a lane of the bilateral filter.
+#: Pixels per lane of the bilateral filter.
 _STRIP = 4
-#: Guide outside the picture.
+#: Value of the guides outside the picture.
 _FAR = 1e4
-#: Variance of a guide, relative to which its variance in a window counts: of features, and of the luminance.
+#: Variance of a guide that is taken for noise: of features, and of the luminance.
 _FEATURE_NOISE, _LIGHT_NOISE = 1e-3, 0.05
 
 
@@ -51,8 +51,8 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
     layers = [component, compressed(component) / np.float32(max(_COLOUR * strength, 1e-6))]
     pairs = ((features.albedo, _ALBEDO), (features.normal, _NORMAL))
     layers += [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
-    # The channels of a pixel one after the other. Around the picture the guides are so different that nothing there
-    # has a weight: no tap has to look where it is.
+    # The channels of a pixel one after the other. Outside the picture the guides differ so much that all weights are
+    # zero, so that taps need no check of the border.
     strips = -(-height // _STRIP)
     channels = 3 * len(layers)
     padded = np.full((strips * _STRIP + 2 * radius, width + 2 * radius, -(-channels // 4) * 4), _FAR, dtype=np.float32)
@@ -63,7 +63,7 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
     count, line = padded.shape[2] // 4, dr.opaque(mi.Int32, width + 2 * radius)
     values = dr.copy(mi.Float(padded.ravel()))
     far = dr.opaque(mi.Int32, radius)
-    # A lane has the pixels of a strip of a column: a neighbour is read once for all of them.
+    # A lane computes the pixels of a strip of a column: a neighbour is read once for all of them.
     lane = dr.arange(mi.Int32, width * strips)
     strip = lane // dr.opaque(mi.Int32, width)
     column = lane - strip * dr.opaque(mi.Int32, width)
@@ -89,7 +89,7 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
             w = dr.exp(mi.Float(across * across + below * below) * space - 0.5 * squared)
             w = dr.select((below >= -far) & (below <= far), w, 0.0)
             result.append(dr.fma(colour, w, total))
-        # Counted, since a division of integers takes long.
+        # Counted, because an integer division is slow.
         ends = across == far
         return dr.select(ends, down + 1, down), dr.select(ends, -far, across + 1), *result
 
@@ -104,8 +104,8 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
 def guided(component: Picture, features: Features, radius: int, strength: float) -> Picture:
     """Linear regression of the picture on a guide in each window, averaged over the windows of a pixel [He 2013].
 
-    The guide is albedo, normal and the luminance of the picture, which is what lamps, caustics and shadows have. It is
-    not compressed: the slope of a picture on itself is at most 1, so noise beside a lamp stays but does not grow.
+    The guide is albedo, normal and the luminance of the picture, which shows lamps, caustics and shadows. The luminance
+    is not compressed: the slope of a picture on itself is at most 1, so noise beside a lamp stays but does not grow.
     ``strength`` multiplies the variance of a guide that is taken for noise.
     """
     height, width = component.shape[:2]
@@ -163,7 +163,7 @@ class Frame:
         self._x = mi.Int32(self.lane) - self._y * self._size.x
 
     def at(self, across: mi.Int32, down: mi.Int32) -> tuple[mi.UInt32, mi.Bool]:
-        """(pixel so far from each, whether it is inside)."""
+        """(pixel at this offset from each pixel, whether it is inside the picture)."""
         x, y = self._x + across, self._y + down
         inside = (x >= 0) & (x < self._size.x) & (y >= 0) & (y < self._size.y)
         return mi.UInt32(y * self._size.x + x), inside
@@ -177,7 +177,7 @@ class Frame:
         weights: NDArray[np.float64] | None = None,
         then: Callable[[list[mi.Vector4f]], list[mi.Vector4f]] | None = None,
     ) -> list[mi.Float]:
-        """Weighted means of ``source`` along rows or columns, equal weights by default: packets, or a function of
+        """Weighted means along rows or columns, with equal weights by default. ``source``: packets, or a function of
         pixels. ``then`` is applied to the means. The result is evaluated."""
         if not callable(source):
             stored = source

@@ -11,17 +11,17 @@ from .pictures import Features, Picture
 
 #: Radius of the patches that are compared.
 _PATCH = 3
-#: Share of the variance that is taken off squared differences, and the differences in which a weight decays.
+#: Share of the variance that is subtracted from squared differences, and the difference over which a weight decays.
 _CANCEL, _DAMPING = 1.0, 0.45
 _SMALL = 1e-10
 
 
 def non_local_means(component: Picture, features: Features, radius: int, strength: float) -> Picture:
     """Mean of the pixels of the window, with weights by the difference of the patches around them, beyond what their
-    variance explains [Rousselle 2012, eq. 5 to 7]. ``strength`` multiplies the accepted difference. Weights by albedo
-    and normal as well did not make its error smaller.
+    variance explains [Rousselle 2012, eq. 5 to 7]. ``strength`` multiplies the accepted difference. Additional
+    weights by albedo and normal did not reduce the error.
 
-    The variance is smoothed over 3x3 pixels, since few passes measure it badly.
+    The variance is smoothed over 3x3 pixels, because it is noisy after few passes.
     """
     assert features.variance is not None  # the registry checks it
     height, width = component.shape[:2]
@@ -48,7 +48,7 @@ def non_local_means(component: Picture, features: Features, radius: int, strengt
             patches = [dr.ravel(distance)]
             for vertical in (False, True):
                 patches = frame.along(vertical, _PATCH, patches)
-            patch = dr.gather(mi.Vector4f, patches[0], frame.lane)  # means of differences, and of what is inside
+            patch = dr.gather(mi.Vector4f, patches[0], frame.lane)  # means of differences, and shares in the picture
             exponent = dr.maximum(patch.x / dr.maximum(patch.y, 1e-6), 0.0)
             w = dr.select(inside, dr.exp(-exponent), 0.0)
             total, weight = dr.fma(other, w, total), weight + w

@@ -13,8 +13,8 @@ from .pictures import Features, Picture
 
 
 def open_image_denoise(component: Picture, features: Features, radius: int, strength: float) -> Picture:
-    """The network for high dynamic range, with albedo and normal where they are there, which :func:`prefiltered` has
-    freed of noise [Afra 2025].
+    """The network for high dynamic range, with albedo and normal if they exist; :func:`prefiltered` has removed their
+    noise [Afra 2025].
 
     ``strength`` mixes the picture (0) and the denoised one (1); ``radius`` has no effect. Raises :class:`BackendError`
     if the library is missing or fails.
@@ -31,8 +31,8 @@ def open_image_denoise(component: Picture, features: Features, radius: int, stre
 
 
 def prefiltered(features: Features) -> Features:
-    """The features without noise, each by the network for it: the network for pictures then trusts their edges. Errors
-    as :func:`open_image_denoise`."""
+    """Albedo and normal, each denoised by the network for this feature, so that the network for pictures can trust
+    their edges. Errors as :func:`open_image_denoise`."""
     oidn = _library()
     if features.albedo is None:
         return features
@@ -46,7 +46,7 @@ def prefiltered(features: Features) -> Features:
 
 
 def _alone(oidn: Any, name: str, layer: Picture) -> Picture:
-    """A feature denoised by itself. On the CPU, which takes arrays of the host; it is fast enough."""
+    """A feature denoised by itself, on the CPU: that takes arrays of the host and is fast enough."""
     kind = oidn.Device(oidn.DeviceType.CPU).new_filter("RT")
     clean = np.empty_like(layer)
     kind.set_image(name, np.ascontiguousarray(layer))

@@ -1,4 +1,4 @@
-"""What denoisers read: components of a picture, features of its first surfaces, and the variance of its pixels."""
+"""Input of denoisers: components of a picture, features of its first surfaces, and the variance of its pixels."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from etendue.film import Technique, is_matte
 
 Picture = NDArray[np.float32]
 
-#: Names of the layers of first surfaces: ours, and those usual in Mitsuba, where the scene names them.
+#: Names of the layers of first surfaces: étendue's own, and usual names in Mitsuba, where the scene chooses them.
 _ALBEDO: Final = ("albedo", "alb", "albedos")
 _NORMAL: Final = ("normal", "normals", "sh_normal", "nn", "sn")
 _VARIANCE: Final = "variance"
-#: Emission of first surfaces, which guides no denoiser.
+#: Layer of the emission of first surfaces, which no denoiser uses.
 _EMITTED: Final = "emitted"
 #: Largest difference between a picture and the sum of its components, relative to the picture's mean.
 _SUM_TOLERANCE: Final = 1e-3
@@ -26,9 +26,9 @@ _SUM_TOLERANCE: Final = 1e-3
 
 @dataclass(frozen=True)
 class Features:
-    """Layers (height, width, 3) that guide a denoiser, without values that are not finite; ``None``: not there.
+    """Layers (height, width, 3) that guide a denoiser, with finite values only; ``None`` for a missing layer.
 
-    ``variance`` is that of the mean that a pixel of the whole picture is.
+    ``variance`` is the variance of the pixels, which are means over samples, of the whole picture.
     """
 
     albedo: Picture | None = None
@@ -37,14 +37,14 @@ class Features:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Those that are there."""
+        """Names of the features that exist."""
         return tuple(name for name in ("albedo", "normal", "variance") if getattr(self, name) is not None)
 
 
 def find_features(layers: Mapping[str, Picture], albedo: str | None = None, normal: str | None = None) -> Features:
-    """The features among ``layers``, by their usual names or those given.
+    """The features among ``layers``, by their usual names or the names given.
 
-    Raises :class:`OptionError` if a given layer does not exist or has not three channels.
+    Raises :class:`OptionError` if a given layer does not exist or has fewer than three channels.
     """
     found = {}
     for what, given, usual in (
@@ -67,10 +67,10 @@ def find_features(layers: Mapping[str, Picture], albedo: str | None = None, norm
 
 
 def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -> tuple[str, ...]:
-    """Layers that are filtered each and then summed: those ``chosen``, or those whose sum is the picture (such as
-    ``components`` or ``split_layers`` make), or the picture alone.
+    """Layers that are denoised separately and then summed: the ``chosen`` layers, or layers whose sum is the picture
+    (such as ``components`` or ``split_layers`` make), or the picture alone.
 
-    Raises :class:`OptionError` for a layer that does not exist or is no colour, and if there is no picture.
+    Raises :class:`OptionError` for a layer that does not exist or is not a colour, and if there is no picture.
     """
     for name in chosen:
         if name not in layers or not _is_colour(layers[name]):
@@ -101,7 +101,7 @@ def _is_colour(layer: Picture) -> bool:
 
 
 def colours(layer: Picture) -> Picture:
-    """The layer as (height, width, 3), each pixel that is not finite replaced by the mean of those around it."""
+    """The layer as (height, width, 3), each pixel that is not finite replaced by the mean of its finite neighbours."""
     x = np.repeat(layer[:, :, :1], 3, axis=2) if layer.shape[2] < 3 else layer[:, :, :3]
     x = np.array(x, dtype=np.float32, order="C")
     bad = np.asarray(~np.isfinite(x).all(axis=2))

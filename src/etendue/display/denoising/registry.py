@@ -13,7 +13,7 @@ from .means import non_local_means
 from .oidn import open_image_denoise, prefiltered
 from .pictures import Features, Picture
 
-#: How a layer is made that a denoiser needs.
+#: How to make a layer that a denoiser needs.
 _REMEDY: Final = {"variance": "render with --aovs in several passes, or use bilateral"}
 
 
@@ -21,7 +21,7 @@ _REMEDY: Final = {"variance": "render with --aovs in several passes, or use bila
 class Denoiser:
     """``function(component, features, radius, strength)`` of a component (height, width, 3).
 
-    ``needs``: features without which it does not work; ``uses``: those that make it better.
+    ``needs``: features without which it does not work; ``uses``: features that improve the result.
     """
 
     name: str
@@ -29,10 +29,10 @@ class Denoiser:
     function: Callable[[Picture, Features, int, float], Picture]
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
-    by_component: bool = True  #: or the sum of the components, whose variance is the only one known
-    #: What is done to the features before, once for all components.
+    by_component: bool = True  #: False: it denoises the sum of components, because only the sum's variance is known
+    #: Applied to the features beforehand, once for all components.
     prepare: Callable[[Features], Features] | None = None
-    #: Whether it smooths details and shifts means, which :func:`restored` gives back if the variance is known.
+    #: Whether it smooths details and shifts means, which :func:`restored` corrects if the variance is known.
     restores: bool = False
 
     def check(self, features: Features) -> None:

@@ -1,15 +1,15 @@
-r"""What a denoiser has taken away besides noise, given back by the variance of the pixels.
+r"""Restores what a denoiser has removed besides noise, by the variance of the pixels.
 
-A network smooths details that it takes for noise, and makes whole surfaces a little brighter or darker, by more than
-the noise of the raw picture, whose mean over many pixels is hardly noisy. The residual r = raw - clean is divided into
-bands by Gaussians of growing width. The energy n of noise in a band is known if pixels are independent: the variance
-times the squared norm of the band's kernel. A band whose energy E around a pixel is larger holds what was lost, and is
-added to the clean picture with the weight :math:`\max(0, 1 - c n / E)` of Wiener's filter. So are means over the widest
-Gaussian.
+A network smooths details that it takes for noise, and makes whole surfaces a little brighter or darker. This error
+exceeds the noise of the raw picture, whose mean over many pixels is hardly noisy. The residual r = raw - clean is
+divided into bands by Gaussians of growing width. The energy n of noise in a band is known if pixels are independent:
+the variance times the squared norm of the band's kernel. A band whose energy E around a pixel is larger holds lost
+details, and is added to the clean picture with the weight :math:`\max(0, 1 - c n / E)` of Wiener's filter. Means over
+the widest Gaussian are added in the same way.
 
-c is above 1 for bands, because E scatters around its mean in small windows, and below 1 for means, in which there is
-little noise. Between the pixels and the first Gaussian, E is of those with neighbours of too much energy:
-the variance of single pixels, from few passes, is uncertain.
+c is above 1 for bands, because E scatters around its mean in small windows, and below 1 for means, which have little
+noise. In the finest band E counts only pixels whose neighbours have more energy than c n, because the variance of
+single pixels is uncertain after few passes.
 """
 
 from __future__ import annotations
@@ -26,45 +26,45 @@ _SIGMAS, _RADIUS = (1.0, 2.0, 4.0, 8.0, 12.0), 2.5
 _BANDS, _MEANS = 2.5, 0.3
 #: Variance of a pixel that is left out, relative to the mean around it.
 _FIREFLY = 300.0
-#: Standard deviation of the Gaussian around a pixel that tells of its neighbours, in pixels.
+#: Standard deviation of the Gaussian that weights the neighbours of a pixel, in pixels.
 _NEAR = 2.0
-#: What is added to a clean picture, relative to its mean, where residuals are divided by it.
+#: Constant added to a clean picture, relative to its mean, before residuals are divided by the picture.
 _FLOOR = 0.01
 
 
 def restored(clean: Picture, raw: Picture, variance: Picture) -> Picture:
-    """The picture ``clean`` (height, width, 3), with what differs from ``raw`` by more than noise.
+    """The picture ``clean`` (height, width, 3), plus the differences from ``raw`` that exceed noise.
 
-    ``variance``: of the pixels of ``raw``, whose errors are taken for independent of each other. Where they are not, as
-    with ``reconstruction=neighbours``, more noise comes back.
+    ``variance``: of the pixels of ``raw``, whose errors are assumed to be independent of each other. Otherwise, as with
+    ``reconstruction=neighbours``, more noise comes back.
     """
     frame = Frame(clean.shape[1], clean.shape[0])
     level = float(clean.mean())
     if level <= 0.0:
         return clean
-    scale = np.maximum(clean, 0.0) + np.float32(_FLOOR * level)  # noise of light grows with the light
+    scale = np.maximum(clean, 0.0) + np.float32(_FLOOR * level)  # the noise of light grows with the light
     residual = (raw - clean) / scale
     noise = (np.maximum(variance, 0.0) / np.square(scale)).mean(axis=2, keepdims=True)
-    # A firefly has most of the noise of its surroundings, and would come back as a blotch.
+    # A firefly has most of the noise around it, and would come back as a blotch.
     finite = np.where(np.isfinite(noise), noise, 0.0)
     usual = noise <= _FIREFLY * _blurred(frame, np.repeat(finite, 3, axis=2), _SIGMAS[-1])[:, :, :1]
     residual, noise = np.where(usual, residual, 0.0), np.where(usual, noise, 0.0)
-    gain = np.maximum(clean, 0.0)  # what is black stays black
+    gain = np.maximum(clean, 0.0)  # black pixels stay black
     result, narrow, kernel = clean.copy(), residual, np.ones(1)
     for sigma in _SIGMAS:
         wide, wider = _blurred(frame, residual, sigma), _gaussian(sigma)
         band = narrow - wide
         result += gain * band * _weight(frame, band, noise, _BANDS * _norm(kernel, wider), sigma)
         narrow, kernel = wide, wider
-    # What is left are means over the widest Gaussian.
+    # The rest are means over the widest Gaussian.
     result += gain * narrow * _weight(frame, narrow, noise, _MEANS * _norm(kernel, np.zeros(1)), _SIGMAS[-1])
     return np.asarray(result, np.float32)
 
 
 def _weight(frame: Frame, band: Picture, noise: Picture, factor: float, sigma: float) -> Picture:
-    """Weight of a band, by its energy and that of noise around each pixel; ``factor``: on the variance."""
+    """Weight of a band, by its energy and the energy of noise around each pixel; ``factor`` multiplies the variance."""
     energy = np.square(band).mean(axis=2, keepdims=True)
-    if sigma == _SIGMAS[0]:  # a pixel whose neighbours are explained by noise is noise, whose variance is uncertain
+    if sigma == _SIGMAS[0]:  # if noise explains the neighbours of a pixel, it explains the pixel
         near, own = _blurred(frame, np.concatenate([energy, noise, noise], axis=2), _NEAR), _gaussian(_NEAR).max() ** 2
         others = near[:, :, :2] - np.float32(own) * np.concatenate([energy, noise], axis=2)
         energy = np.where(others[:, :, :1] > factor * others[:, :, 1:], energy, np.float32(0.0))

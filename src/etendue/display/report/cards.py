@@ -1,4 +1,4 @@
-"""A small piece of a page for notebooks: a picture, key figures, how far a run is."""
+"""A small piece of a page for notebooks: a picture, key figures, the progress of a run."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def card(
     fraction: float | None = None,
     status: str = "",
 ) -> str:
-    """HTML without style sheet and script, for light and dark surroundings. ``fraction``: of the work that is done, for
-    a bar; ``status``: a line below the title."""
+    """HTML without style sheet and script, for light and dark surroundings. ``fraction``: share of the work that is
+    done, for a bar; ``status``: a line below the title."""
     shown = {name: value_text(value) for name, value in flatten(facts).items() if value is not None}
     return page(
         "card.html",

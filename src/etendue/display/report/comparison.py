@@ -44,10 +44,10 @@ from .stacks import ERROR_RANGE, Stack, viewer_data
 from .tables import Column, FactTable, fact_table, flatten, number_text, settings_tables, time_text
 
 _TRIM = 0.001
-#: Metadata that are not facts of a run: those with tables of their own, and names of the shapes of a layer.
+#: Metadata that are not facts of a run: metadata with their own tables, and names of the shapes of a layer.
 _ELSEWHERE = ("settings", "versions", "shapes")
-#: Characters for pictures, error maps and layers as figures, each; and for pyramids. The data of the viewer get what is
-#: left of a page.
+#: Characters for pictures, error maps and layers as figures, each; and for pyramids. The data of the viewer get the
+#: rest of a page.
 _FIGURE_ROOM, _PYRAMID_ROOM = 420_000, 800_000
 #: Width of a layer as a figure.
 _LAYER_ACROSS = 360
@@ -81,9 +81,9 @@ def render_report(
 ) -> str:
     """The text of the page that :func:`write_report` writes.
 
-    All pictures are shown at one ``exposure`` (stops; by default the one that suits the reference, else the first
-    entry). ``reference_note`` says how the reference was made, ``error_name`` what the error over time is.
-    ``failures`` are told in the place of their pictures. ``repeat``: commands that make the page again.
+    All pictures are shown at one ``exposure`` (stops; by default the exposure that suits the reference, else the first
+    entry). ``reference_note`` says how the reference was made, ``error_name`` names the measure of the error over time.
+    ``failures`` are shown in the place of their pictures. ``repeat``: commands that make the page again.
     """
     check_entries(entries, reference)
     pictures = [(e.name, e.image) for e in entries] + ([("reference", reference)] if reference is not None else [])
@@ -105,7 +105,7 @@ def render_report(
 
 
 def _verdict(entries: Sequence[Entry], reference: Image | None) -> list[tuple[str, bool]]:
-    """Which picture has the smallest error, if there is a choice."""
+    """Text that names the picture with the smallest error, if there are several pictures."""
     if reference is None or len(entries) < 2:
         return []
     errors = sorted((relative_mse(e.image, reference), e.name) for e in entries)
@@ -118,12 +118,12 @@ def _verdict(entries: Sequence[Entry], reference: Image | None) -> list[tuple[st
 
 
 def _number(entries: Sequence[Entry], reference: Image | None) -> int | None:
-    """That of the reference among the pictures."""
+    """Number of the reference among the pictures; ``None`` without one."""
     return None if reference is None else len(entries)
 
 
 def _stacks(entries: Sequence[Entry], reference: Image | None) -> list[Stack]:
-    """All pictures, with their layers but those of a pyramid: these are on the page already, in small."""
+    """All pictures with their layers, except layers of a pyramid, which the page already shows at small size."""
     stacks = []
     for entry in entries:
         others = [Layer.of(name, layer) for name, layer in entry.layers.items() if _is_shown(name)]
@@ -248,7 +248,7 @@ def _pyramids(entries: Sequence[Entry], exposure: float, curve: str) -> list[Par
 
 
 def _layers(entries: Sequence[Entry], exposure: float, curve: str) -> list[Part]:
-    """Layers of pictures that are not part of a pyramid, in small; the viewer has them with exposure and zoom."""
+    """Layers of pictures that are not part of a pyramid, at small size; the viewer has them with exposure and zoom."""
     found = []
     for entry in entries:
         figures = [
@@ -290,7 +290,7 @@ def _settings(entries: Sequence[Entry]) -> list[Part]:
     changed, every = settings_tables(names, settings, [flatten(e.defaults) for e in entries])
     if every is None:
         return []
-    if not any(e.defaults for e in entries):  # nothing is known of them
+    if not any(e.defaults for e in entries):  # no defaults are known
         return [Facts(every), *_shaded(every)]
     folded = Folded("All settings", [Facts(every)])
     if changed is None:

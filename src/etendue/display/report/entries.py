@@ -1,4 +1,4 @@
-"""What a page is made of: pictures with what is known about them."""
+"""The pictures of a page, with their metadata."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Entry:
 
     ``image`` is (height, width, 3) linear radiance. ``metadata`` is that of a ``Result``: ``settings`` and ``versions``
     (mappings) get tables of their own, ``seconds`` and ``passes`` go to the caption, everything else is listed.
-    ``error_history`` holds rows (seconds, relMSE) or (seconds, relMSE, standard error of it). ``layers`` are further
-    pictures to show, by name. ``defaults`` are those of the settings, ``command`` is one that repeats the picture.
+    ``error_history`` holds rows (seconds, relMSE) or (seconds, relMSE, its standard error). ``layers`` are further
+    pictures to show, by name. ``defaults`` are the default settings, ``command`` is a command that repeats the picture.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Entry:
 
 
 def check_entries(entries: Sequence[Entry], reference: Image | None) -> None:
-    """Raise :class:`OptionError` without a picture, for two of one name, and for pictures of different sizes."""
+    """Raise :class:`OptionError` without a picture, for two pictures of one name, and for different sizes."""
     if not entries:
         raise OptionError("a comparison needs at least one picture")
     names = [e.name for e in entries]

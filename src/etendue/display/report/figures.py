@@ -14,7 +14,7 @@ from PIL import Image
 
 #: Widths of figures in pixels: the largest and the smallest.
 ACROSS = (640, 64)
-#: Quality of WebP, which is lossy: a figure illustrates; radiance is in the data of the script.
+#: Quality of WebP, which is lossy: figures only illustrate, the script has the radiance in its data.
 _QUALITY = 84
 
 
@@ -47,7 +47,7 @@ class Figure:
 
     @property
     def size(self) -> int:
-        """Characters of the page."""
+        """Number of characters that the figure takes on the page."""
         return len(self._data) * 4 // 3
 
 

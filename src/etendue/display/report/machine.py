@@ -10,7 +10,7 @@ import numpy as np
 
 
 def machine() -> dict[str, str]:
-    """Processor, memory, system, and the versions of Python and NumPy; what cannot be found is left out."""
+    """Processor, memory, system, and the versions of Python and NumPy; unknown facts are left out."""
     facts = {
         "processor": f"{_processor()}, {os.cpu_count() or 'unknown number of'} threads",
         "memory": _memory(),

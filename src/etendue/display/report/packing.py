@@ -32,7 +32,7 @@ _MARGIN = 1.05
 @dataclass(frozen=True)
 class Layer:
     """A layer of a picture. ``values``: (height, width, 3), or (height, width) for scalars and labels. ``scale``: the
-    scalars shown as black and as yellow; by default those that most pixels are between."""
+    scalars shown as black and as yellow; by default the 1st and 99th percentile of positive values."""
 
     name: str
     kind: Kind
@@ -79,13 +79,13 @@ def packed(pictures: Sequence[Layer], layers: Sequence[Layer], room: int) -> tup
     shown = _fitted(pictures, int(_PICTURES_FIRST * room) if layers else room)
     left = room - _length(shown)
     others = _fitted(layers, left) if layers else []
-    while others and _length(others) > left:  # as at their lowest resolution
+    while others and _length(others) > left:  # too large even at their lowest resolution
         others.pop()
     return shown, [*others, *[None] * (len(layers) - len(others))]
 
 
 def _fitted(layers: Sequence[Layer], room: int) -> list[Any]:
-    """Data of layers, all made in the first way that fits, or else in the smallest."""
+    """Data of layers, all made in the first way that fits, or else in the way with the smallest size."""
     ways = [way for way in _WAYS if sum(_estimate(layer, *way) for layer in layers) <= room] or list(_WAYS[-1:])
     for way in ways:
         made = [_data(layer, *way) for layer in layers]
@@ -126,8 +126,8 @@ def _data(layer: Layer, bits: int, block: int) -> dict[str, Any]:
 
 
 def averaged(values: ArrayLike, block: int) -> NDArray[np.float64]:
-    """Means of blocks of (height, width, channels), also of incomplete ones at the right and lower edge; values that
-    are not finite do not count, unless a block has no other."""
+    """Means of blocks of (height, width, channels), also of incomplete blocks at the right and lower edge; values
+    that are not finite do not count, and a block without finite values is NaN."""
     x = np.asarray(values, dtype=np.float64)
     if block == 1:
         return x
@@ -144,8 +144,8 @@ def averaged(values: ArrayLike, block: int) -> NDArray[np.float64]:
 def shared_exponent(image: ArrayLike, bits: int = 8) -> NDArray[np.uint8]:
     """Planes (c + 1, height, width) of c mantissas and an exponent: value = mantissa 2^(exponent - 136) [Ward 1991].
 
-    Mantissas have 8 ``bits``, or are rounded to fewer. NaN and negative values become 0, values beyond the range its
-    largest.
+    Mantissas have 8 ``bits``, or are rounded to fewer. NaN and negative values become 0, values beyond the range the
+    largest value.
     """
     x = np.nan_to_num(np.asarray(image, dtype=np.float64), nan=0.0, posinf=1e30, neginf=0.0).clip(0.0, 1e30)
     grain = 2 ** (8 - bits)

@@ -21,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Failure:
-    """What is not on the page, and why: a method whose run has failed."""
+    """A method whose run has failed, and the reason."""
 
     kind: ClassVar[str] = "failure"
     name: str
@@ -125,6 +125,6 @@ class Page:
     sections: list[Section] = field(default_factory=list)
 
     def add(self, heading: str, *parts: Part | None) -> None:
-        """Add a section of the parts that there are; none if there are none."""
+        """Add a section with the parts that are not ``None``; without such parts, no section."""
         if present := [part for part in parts if part is not None]:
             self.sections.append(Section(heading, present))

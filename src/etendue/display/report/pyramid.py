@@ -1,7 +1,7 @@
 """A technique pyramid on a page: the usual triangle [Veach 1997, fig. 10.3].
 
-A row holds the ways of making paths of one length, a column those with the same number of light vertices. All pictures
-are shown at the exposure of the page, so that the sum of the weighted pictures is the displayed picture.
+A row holds the techniques for paths of one length, a column techniques with the same number of light vertices. All
+pictures are shown at the exposure of the page, so that the sum of the weighted pictures is the displayed picture.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class PyramidView:
 
     @property
     def size(self) -> int:
-        """Characters of its figures on a page."""
+        """Number of characters that its figures take on a page."""
         cells = [cell for t in self.triangles for _, row in t.rows for cell in row]
         return sum(figure.size for figure in (*cells, self.longer) if figure is not None)
 
@@ -117,5 +117,5 @@ def _level(image: Image) -> float:
 
 
 def _share(layer: Image, whole: float) -> str:
-    """Mean of the layer as a share of that of the picture."""
+    """Mean of the layer relative to the mean of the picture, as text."""
     return f"{100.0 * _level(layer) / whole:.2g} %" if whole > 0.0 else ""

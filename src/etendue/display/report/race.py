@@ -1,7 +1,7 @@
 """Equal-time and equal-error tables, from curves of the error over time.
 
-Between two points a curve is a straight line on logarithmic axes, as errors that fall by a power of time are; beyond
-its points nothing is claimed. An error counts as reached when the curve goes below it for the last time: a lucky dip is
+Between two points a curve is a straight line on logarithmic axes, like errors that fall by a power of time; beyond its
+points a curve has no values. An error counts as reached when the curve goes below it for the last time: a short dip is
 not enough.
 """
 
@@ -15,7 +15,7 @@ from itertools import pairwise
 from ..plots import Series
 from .tables import Column, number_text, time_text
 
-#: Equal times are the end of the shortest curve, and so many halves of it.
+#: Equal times are the end of the shortest curve and this time halved up to so many times.
 _HALVES = 3
 #: Columns of equal errors.
 _LEVELS = 4
@@ -23,8 +23,8 @@ _LEVELS = 4
 
 @dataclass(frozen=True)
 class Reached:
-    """When a curve reaches an error. ``seconds``: then, or the first or last time of the curve if it is below the error
-    from the beginning, or not at the end (``sign`` is ``<`` or ``>``)."""
+    """When a curve reaches an error. ``seconds``: this time; or the first time of a curve that is below the error from
+    the beginning (``sign`` ``<``), or the last time of a curve that does not reach it (``sign`` ``>``)."""
 
     seconds: float
     sign: str = ""
@@ -58,7 +58,7 @@ def time_to(series: Series, error: float) -> Reached | None:
 
 def over_seeds(curves: Sequence[Series]) -> list[tuple[float, float, float]]:
     """(seconds, mean error, standard error of the mean) of runs that differ by their seed: at the times of the first
-    curve that all have, and at their ends, which have the mean of their times. The standard error of one run is 0."""
+    curve that all curves cover, and at the mean time of their ends. The standard error of one run is 0."""
     known = [_points(series) for series in curves]
     if not known or not all(known):
         return []
@@ -80,7 +80,7 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 
 
 def equal_times(curves: Sequence[Series]) -> list[Column]:
-    """Errors at the same times: at the end of the shortest curve, and at halves of this time where all have begun."""
+    """Errors at the same times: at the end of the shortest curve, and at halves of this time when all have begun."""
     known = [_points(series) for series in curves]
     if len(curves) < 2 or not all(known):
         return []
@@ -92,7 +92,7 @@ def equal_times(curves: Sequence[Series]) -> list[Column]:
 
 
 def equal_errors(curves: Sequence[Series]) -> list[Column]:
-    """Times to the same errors: those at the ends of the curves, from the largest to the smallest."""
+    """Times to the same errors: the errors at the ends of the curves, from the largest to the smallest."""
     known = [_points(series) for series in curves]
     if len(curves) < 2 or not all(known):
         return []
@@ -111,7 +111,7 @@ def equal_errors(curves: Sequence[Series]) -> list[Column]:
 
 
 def _fastest(reached: Sequence[Reached]) -> int | None:
-    """Which reaches the error first, if that is certain."""
+    """Number of the curve that reaches the error first, if that is certain."""
     done = [(r.seconds, r.sign, i) for i, r in enumerate(reached) if r.sign != ">"]
     if not done or len(reached) < 2:
         return None

@@ -10,7 +10,7 @@ from ..colours import false_colour_stops
 from ..curves import CURVES, TABLE_RANGE
 from .packing import Layer, packed
 
-#: Relative squared errors that error maps show as black and as yellow: of a pixel, from 1 % to ten times its value.
+#: Relative squared errors that error maps show as black and as yellow: errors of 1 % and of ten times a pixel's value.
 ERROR_RANGE = (1e-4, 1e2)
 
 
@@ -27,7 +27,7 @@ def viewer_data(
 ) -> dict[str, Any]:
     """Data for ``pictures.js`` in about ``room`` characters.
 
-    ``stacks`` are of one size. ``reference`` is the number of the one with which others are compared. Layers that do
+    ``stacks`` are of one size. ``reference`` is the number of the stack with which others are compared. Layers that do
     not fit are left out and named in ``missing``. Without ``pair`` one picture is shown at a time.
     """
     height, width = stacks[0].layers[0].values.shape[:2]

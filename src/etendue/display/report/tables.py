@@ -76,7 +76,7 @@ def settings_tables(
 ) -> tuple[FactTable | None, FactTable | None]:
     """Settings that differ from their defaults or from each other, and all settings; ``None`` for an empty table.
 
-    In the first a value has its default beside it if it differs. Rows in which pictures differ are marked.
+    The first table shows the default beside a value that differs from it. Rows in which pictures differ are marked.
     """
     every = fact_table(names, settings, mark=True)
     if every is None:

@@ -1,4 +1,4 @@
-"""Adaptation of bins: smoothing and damping of their values, new borders.
+"""Adaptation of bins: smoothing and damping of their values, and new borders.
 
 All functions act on the last axis, so that many rows of bins are treated at once.
 """
@@ -26,7 +26,7 @@ def rebin(edges: Array, values: Array) -> Array:
 
 def split_equally(edges: Array, values: Array, parts: int) -> Array:
     """Borders (parts + 1) of ``parts`` bins that share the sum of ``values`` (K,) between ``edges`` (K+1,) equally."""
-    # Relative to the largest, so that no sum of tiny values is lost.
+    # Relative to the largest value, so that sums of tiny values do not vanish.
     largest = float(np.max(values))
     reached = np.concatenate([[0.0], np.cumsum(values / largest)]) if largest > 0 else np.zeros(2)
     if not reached[-1] > 0 or not np.isfinite(reached[-1]):

@@ -38,8 +38,8 @@ class Tabulated(Protocol):
         ...
 
     def tables(self) -> list[Array]:
-        """The tables that :meth:`look_up` reads. Those of several densities of one shape may be concatenated, a row
-        each."""
+        """The tables that :meth:`look_up` reads. The tables of several densities of one shape may be concatenated, one
+        row for each density."""
         ...
 
     def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
@@ -50,7 +50,7 @@ class Tabulated(Protocol):
 class Factor(Tabulated, Protocol):
     """A tabulated density that is learned."""
 
-    #: Power of the contribution by which its bins adapt; bins with movable borders equalise its square.
+    #: Power of the contribution to which the bins adapt; bins with movable borders equalise its square.
     order: int
 
     def warp(self, backend: Backend, u: Sequence[Numbers]) -> Warped:
@@ -204,7 +204,7 @@ class CellGrid(_ByTables):
         return np.full(self.bins, 1.0 / self.bins)
 
     def tables(self) -> list[Array]:
-        """See :class:`Factor`: probabilities of the cells, and of all before each."""
+        """See :class:`Factor`: probabilities of the cells, and their sums over all cells before."""
         p = self.probability.ravel()
         return [p, np.cumsum(p) - p]
 
@@ -246,7 +246,7 @@ class CellGrid(_ByTables):
 
 
 def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Numbers], row: Whole | int) -> Warped:
-    """(points, 1 / density, bin of each) by the factor of number ``row`` of ``factors``, which are of one shape."""
+    """(points, 1 / density, bin of each) by the factor with index ``row`` of ``factors``, which are of one shape."""
     tables = [backend.table(np.concatenate(parts)) for parts in zip(*(f.tables() for f in factors), strict=True)]
     return factors[0].look_up(backend, tables, u, row)
 
@@ -258,12 +258,12 @@ def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
 
 
 def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: bool = False) -> Array:
-    """The values of a factor's bins, from sums over the ``samples`` in each: (1, bins) of (f / p)^2 in mode
-    ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
+    """The values of a factor's bins, from ``sums`` over the samples in each bin, of ``samples`` in all: (1, bins) of
+    (f / p)^2 in mode ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
 
-    In importance mode the mean of (f / p)^2, for cells of a grid its root; else the deviation of f / p, with the sign
-    of [Leeson 2001, eq. 5.8] corrected. Adapting to squares, borders overshoot, which damping compensates; without
-    damping (``steady``) they adapt to the root, the contribution itself, and converge.
+    In importance mode the value is the mean of (f / p)^2, for cells of a grid its root; in stratified mode it is the
+    deviation of f / p, with the sign of [Leeson 2001, eq. 5.8] corrected. Borders that adapt to squares overshoot;
+    damping compensates it. Without damping (``steady``) they adapt to the root, the contribution itself, and converge.
     """
     if mode == "importance":
         order = 1 if steady else factor.order

@@ -22,7 +22,7 @@ from etendue.surfaces import (
 
 from .sources import FileSource
 
-#: Most particles by which bandwidths are chosen.
+#: Largest number of particles from which bandwidths are chosen.
 _SAMPLE = 1 << 20
 
 MapKind = Literal["histogram", "kernel", "variable", "knn"]
@@ -32,7 +32,7 @@ Source: TypeAlias = Particles | Callable[[], Iterable[Particles]]
 
 @dataclass(frozen=True)
 class MapOptions:
-    """How a map is made. Raises :class:`OptionError` for an unknown kind.
+    """How a map is made. Raises :class:`OptionError` for an unknown kind, and for a boundary that ``knn`` lacks.
 
     ``kind``: ``histogram`` in cells, ``kernel`` of one bandwidth for a shape, ``variable`` kernels after a pilot, or
     ``knn``, the nearest particles. ``cells``: approximate number of cells (of all kinds but ``knn``). ``bandwidth`` of
@@ -57,7 +57,7 @@ class MapOptions:
 
 @dataclass(frozen=True)
 class MadeMap(InNotebooks):
-    """A map, the surfaces it was made on, and the number of particles."""
+    """A map, its surfaces, and the number of particles."""
 
     map: PatchMap | NearestMap
     surfaces: MapSurfaces
@@ -70,7 +70,7 @@ def make_map(
     """A map of ``particles`` on the surfaces of ``scene``, an argument or a result of :func:`etendue.scene.load`.
 
     A histogram and kernels are added up pass by pass, in the memory of their cells and one pass; ``knn`` holds all
-    particles, 350 bytes each. ``tell`` receives a line a pass. Raises :class:`SurfaceError` for particles of another
+    particles, 350 bytes each. ``tell`` receives a line per pass. Raises :class:`SurfaceError` for particles of another
     scene, for none, and for surfaces that cannot have a map, :class:`OptionError` for options.
     """
     o = options or MapOptions()
@@ -98,8 +98,8 @@ def make_map(
 
 
 def _widths(surfaces: MapSurfaces, particles: Source, o: MapOptions) -> float | Array:
-    """The bandwidth given, or that of the rule: by a part of all particles, taken evenly, as those of a file are sorted
-    by surface. Of a file only a few passes are read."""
+    """The given bandwidth, or that of the rule from an evenly spaced subset of the particles (each pass of a file
+    is sorted by surface). Only a few passes of a file are read."""
     if o.bandwidth is not None:
         return o.bandwidth
     kept, stride, total = Particles.empty(), 1, 0

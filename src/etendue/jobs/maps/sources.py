@@ -1,4 +1,4 @@
-"""Particles of files, and the scenes that they are of."""
+"""Particles of files, and the scenes in which they were traced."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from etendue.scene import Problem, bundled_scene, load, locate
 
 #: Particles that are added at once.
 _BATCH = 1 << 20
-#: Settings by which a file has all hits on surfaces that can have a map.
+#: Settings with which a file has all hits on surfaces that can have a map.
 _ALL = {"keep": "all", "after": 0, "max_bounces": -1}
 
 
 class FileSource:
-    """The particles of a file in batches, as often as it is called.
+    """The particles of a file in batches, anew at each call.
 
-    Raises :class:`ParticleError` for a file that cannot be read. Warns if it has a part of the light only, and if it
-    has no numbers of paths: each particle is then a path of its own.
+    Raises :class:`ParticleError` for a file that cannot be read. Warns if the file has only a part of the light, and if
+    it has no numbers of paths: each particle is then a path of its own.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -49,8 +49,8 @@ class FileSource:
         yield from self._batches(self.file.parts())
 
     def sample(self, least: int) -> Iterator[Particles]:
-        """As a call, but of as few passes of the file as have ``least`` particles, evenly spaced. A pass is sorted by
-        surface, so that a part of it would lack surfaces."""
+        """As a call, but only of evenly spaced passes, as many as are needed for ``least`` particles. Passes are whole,
+        because the particles of a pass are sorted by surface, and a part of it would lack surfaces."""
         numbers = [block.head["pass"] for block in self.file.passes]
         count = min(-(-least * len(numbers) // max(len(self), 1)), len(numbers))
         chosen = {numbers[(2 * k + 1) * len(numbers) // (2 * count)] for k in range(count)}
@@ -76,8 +76,8 @@ class FileSource:
     ) -> Problem:
         """The loaded scene of the particles: ``scene``, or by default that from which they were traced.
 
-        Raises :class:`OptionError` if it was in memory, and the errors of loading. Warns if the scene has changed: the
-        particles may still lie on its surfaces.
+        Raises :class:`OptionError` if that scene was in memory, and the errors of loading. Warns if the scene has
+        changed: the particles may still lie on its surfaces.
         """
         place = self.file.header["place"]
         parameters = parameters or place.get("parameters")

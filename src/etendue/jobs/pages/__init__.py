@@ -1,1 +1,1 @@
-"""Pages of solutions, and what results show of themselves in a notebook."""
+"""Pages of solutions, and the display of results in notebooks."""

@@ -47,8 +47,8 @@ def _frame(camera: MeshView) -> NDArray[np.float64]:
 
 
 def camera_view(problem: Problem) -> MeshView | None:
-    """The view of a scene's camera, from the rays through the corners of its picture; ``None`` for other sensors than
-    perspective ones."""
+    """The view of a scene's camera, from the rays through the corners of its picture; ``None`` for a sensor that is not
+    perspective."""
     from etendue.scene import graph
 
     if graph.plugin_name(problem.sensor) not in ("perspective", "thinlens"):
@@ -68,7 +68,7 @@ def _ray(problem: Problem, u: float, v: float) -> tuple[Any, Any]:
 
 
 def seen_patches(patches: Patches, view: MeshView, size: tuple[int, int]) -> Index:
-    """(height, width) the patch that each pixel shows, -1 for none."""
+    """(height, width): number of the patch at each pixel, -1 for none."""
     faces = mesh_picture(patches.vertices, patches.faces, view, size, patches.back >= 0)
     owners = np.concatenate([patches.front, patches.back, [-1]])
     return owners[faces]  # -1 is the last

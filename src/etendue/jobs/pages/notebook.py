@@ -1,4 +1,4 @@
-"""What results, sessions and runs show of themselves in a notebook."""
+"""HTML of results, sessions and running work for notebooks."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .meshviews import mesh_views, on_pixels, seen_patches
 _SIZE = 400, 300
 #: Seconds between updates of the progress of a run.
 _EVERY = 0.3
-#: The layers of a result that are named, at most.
+#: Largest number of layers of a result that are named.
 _LAYERS = 6
 
 
 def html_of(thing: Any) -> str | None:
-    """HTML of a result, a session, a solution and so on; ``None`` for what is not known."""
+    """HTML of a result, a session, a solution and so on; ``None`` for an unknown class."""
     for kind in type(thing).__mro__:
         if kind.__name__ in _CARDS:
             return _CARDS[kind.__name__](thing)
@@ -68,7 +68,7 @@ def _of_run(known: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _session(session: Any) -> str:
-    """How far a run is, with its picture so far; of one that has ended, its result or its error."""
+    """The progress of a run with its current picture; after its end, its result or its error."""
     if not session.running:
         try:
             result = session.result
@@ -131,7 +131,7 @@ def _patches(patches: Any) -> str:
 
 
 def _ended_by(reason: str, counted: str) -> str:
-    """What ended a run. ``counted``: what its budget in samples counts."""
+    """The limit or event that ended a run. ``counted``: the unit of its budget in samples."""
     words = {"seconds": "time", "samples": f"number of {counted}", "cancel": "cancelled", "failure": "an error"}
     return words.get(reason, reason)
 
@@ -188,7 +188,7 @@ def _factor_result(result: Any) -> str:
 
 
 def _particles(particles: Any, more: Mapping[str, Any] | None = None) -> str:
-    """Where they are: a projection along the axis in which they extend least."""
+    """Positions of particles: a projection along the axis in which they extend least."""
     facts: dict[str, Any] = {**(more or {}), "particles": len(particles)}
     if not len(particles):
         return card("Particles", facts)
@@ -219,7 +219,7 @@ def _projected(particles: Any) -> Any:
 def _particle_result(result: Any) -> str:
     ended = _ended_by(result.stopped_by, "paths")
     facts = {"ended by": ended, "passes": result.passes, **_counted(result.counters)}
-    facts["time"] = time_text(result.elapsed)  # with what is between passes, which the counter leaves out
+    facts["time"] = time_text(result.elapsed)  # the counter leaves out the time between passes
     if result.particles is not None:
         return _particles(result.particles, facts)
     return card("Particles", {"file": str(result.file), **facts})
@@ -238,7 +238,7 @@ def _particle_file(file: Any) -> str:
 
 
 def _counted(counters: Mapping[str, float]) -> dict[str, Any]:
-    """What a tracing has counted, each once and in its unit; nothing of what did not happen."""
+    """Counters of a tracing, each once and in its unit, without zeros."""
     left = dict(counters)
     seconds, rays = left.pop("seconds", 0.0), left.pop("rays", 0.0)
     facts: dict[str, Any] = {"particles": int(left.pop("particles", 0)), "light paths": int(left.pop("paths", 0))}
@@ -265,7 +265,7 @@ def _made_map(made: Any) -> str:
 
 
 def _report(report: Any) -> str:
-    """What failed and warns, with what it means; then how many tests each component passed."""
+    """Failures and warnings with their meaning; then the number of tests that each component passed."""
     facts: dict[str, str] = {}
     for kind, findings in (("failed", report.failures), ("warning", report.warnings)):
         for finding in findings:
@@ -311,7 +311,7 @@ class LiveProgress:
 
     @classmethod
     def in_notebook(cls, title: str) -> LiveProgress | None:
-        """One, if this is a notebook; ``None`` elsewhere, as in a terminal's IPython."""
+        """Progress for a notebook; ``None`` elsewhere, as in IPython in a terminal."""
         if (module := sys.modules.get("IPython")) is None:
             return None
         shell = module.get_ipython()
@@ -330,12 +330,12 @@ class LiveProgress:
             self._show(**_progress(progress))
 
     def finishing(self, progress: Progress) -> None:
-        """All passes are made; what they give is computed and written, which may take a while."""
+        """Show that all passes are made, and that the result is being computed and written."""
         self._latest = progress
         self._show(status=_after("finishing", progress))
 
     def end(self, how: str) -> None:
-        """The run has ended: ``done``, ``interrupted`` or ``failed``."""
+        """Show how the run has ended: ``done``, ``interrupted`` or ``failed``."""
         self._show(status=_after(how, self._latest))
 
     def _show(self, **shown: Any) -> None:
@@ -344,5 +344,5 @@ class LiveProgress:
 
 
 def _after(how: str, progress: Progress) -> str:
-    """What was made, after the last pass: nothing is left to come then."""
+    """Status after the last pass, without a remaining time."""
     return f"{how}: {replace(progress, eta=None)}" if progress.passes else f"{how} before the first pass was done"

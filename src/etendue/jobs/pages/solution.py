@@ -53,8 +53,8 @@ _WORST, _ROUNDING = 10, 1e-12
 
 @dataclass(frozen=True)
 class Making:
-    """How a solution was made. ``settings``: those that were asked for. ``history``: (lines, standard error) during the
-    run, ``unit`` what is counted. ``command``: one that repeats it."""
+    """How a solution was made. ``settings``: the requested ones. ``history``: (count, standard error) during the run;
+    ``unit``: what is counted. ``command``: a command that repeats the run."""
 
     settings: Mapping[str, Any] = field(default_factory=dict)
     history: Sequence[tuple[float, float]] = ()
@@ -71,7 +71,7 @@ def write_solution_page(
     making: Making,
     picture: Result | None = None,
 ) -> None:
-    """Write the page. ``error``: of the irradiance; ``picture``: one that was made from the solution. Raises
+    """Write the page. ``error``: of the irradiance; ``picture``: a picture of the solution. Raises
     :class:`OutputError` if the file cannot be written."""
     write_bytes(path, render_solution_page(solution, error, metadata, problem, making, picture).encode())
 
@@ -116,7 +116,7 @@ def render_solution_page(
 
 
 def _height(problem: Problem | None) -> int:
-    """That of the pictures: of the camera's format."""
+    """Height of the pictures, in the camera's aspect ratio."""
     width, height = (4, 3) if problem is None else problem.size
     return int(np.clip(round(_WIDTH * height / width), _WIDTH // 3, _WIDTH))
 
@@ -145,7 +145,7 @@ def _stacks(
 
 
 def _colours(values: Array) -> Array:
-    """(n, 3): one channel as grey; of other numbers of channels, such as bands, the mean."""
+    """(n, 3) colours: three channels as they are; of one channel, or of bands, the mean as grey."""
     return values if values.shape[1] == 3 else np.repeat(values.mean(axis=1, keepdims=True), 3, axis=1)
 
 
@@ -178,7 +178,7 @@ _POWERS = {"emitted": "emitted", "from_sky": "from the sky", "absorbed": "absorb
 
 
 def _balance(solution: Solution) -> Measures:
-    """Powers by channel, and their share of what comes in."""
+    """Powers by channel, and their share of the incoming power."""
     power = solution.power
     come = power["emitted"] + power["from_sky"]
     rows = {words: power[name] for name, words in _POWERS.items()}

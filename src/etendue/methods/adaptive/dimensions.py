@@ -165,8 +165,8 @@ class NumberedSource:
     def give(
         self, draws: Sequence[Draw], values: Sequence[mi.Float], left_by_pick: Callable[[mi.Float], mi.Float] | None
     ) -> None:
-        """Set the numbers ``draws`` to ``values``. With ``left_by_pick``, the remainder of a number that selects a
-        light, the first coordinate of a light point also selects the light."""
+        """Set the numbers ``draws`` to ``values``. ``left_by_pick``: the function for the remainder of a number that
+        selects a light; with it, the first coordinate of a light point also selects the light."""
         for (vertex, component), value in zip(draws, values, strict=True):
             if left_by_pick is not None and component == dim.NEXT_EVENT + 1:
                 self._numbers.setdefault(dim.NEXT_EVENT, []).append((vertex, value))
@@ -202,11 +202,11 @@ class NumberedSource:
         return result
 
     def counts(self, edges: mi.UInt32) -> mi.Bool | bool:
-        """Whether paths of so many edges contribute."""
+        """Whether paths of ``edges`` edges contribute."""
         return True
 
     def goes_on(self, edges: mi.UInt32) -> mi.Bool | bool:
-        """Whether paths of more edges contribute."""
+        """Whether paths of more than ``edges`` edges contribute."""
         return True
 
 
@@ -247,13 +247,13 @@ class AdaptiveSource(NumberedSource):
                 self.drawn.append(Drawn(number, weight, place, min(walk, default=None), tuple(lights)))
 
     def counts(self, edges: mi.UInt32) -> mi.Bool | bool:
-        """Whether paths of so many edges contribute."""
+        """Whether paths of ``edges`` edges contribute."""
         if self.length is None:
             return True
         return (edges == self.length) | ((self.length == self.lengths) & (edges > self.length))
 
     def goes_on(self, edges: mi.UInt32) -> mi.Bool | bool:
-        """Whether paths of more edges contribute."""
+        """Whether paths of more than ``edges`` edges contribute."""
         return True if self.length is None else (edges < self.length) | (self.length == self.lengths)
 
     def _unwarped(self, vertex: int, component: int) -> mi.Float:

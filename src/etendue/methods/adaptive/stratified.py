@@ -8,9 +8,9 @@ tenths of its share of the paths of a pass. A region i of volume :math:`V_i` tha
 .. math:: L = \frac 1 N \sum_i \sum_{u \in i} \frac{V_i}{q_i} f(u), \qquad q_i \sim
    \left( V_i^2 \mathrm{Var}_i \right)^{1/(1+a)}
 
-and the low-discrepancy numbers of each pixel select regions, in their order, so that each pixel has its share of paths
-in each part of the hypercube. Paths of the exploration are not used in the picture, so a pass is unbiased. The
-subdivision (the *plan*) depends only on the seed and the number of the group of passes that share it.
+and the low-discrepancy numbers of each pixel select regions, in the order of the regions, so that each pixel has its
+share of paths in each part of the hypercube. Paths of the exploration are not used in the picture, so a pass is
+unbiased. The subdivision (the *plan*) depends only on the seed and the number of the group of passes that share it.
 
 [Press 1990; Leeson 2001, sec. 5.6]
 """

@@ -22,13 +22,13 @@ from etendue.core import RELATIVE_EPSILON, State
 from etendue.transport import TILE, Candidate
 
 #: Costs in units of an edge of a path tracer with its light point. Fitted to CPU times of passes of four bundled scenes
-#: (28 settings), which they predict to 30 %; those of connections were raised by what choosing by classes adds.
+#: (28 settings), which they predict to 30 %; those of connections were raised by the cost of choosing by classes.
 CAMERA_EDGE = 1.2  #: an edge of a camera path, with the weights
 CONNECTING = 0.4  #: a vertex that is connected to light vertices, by classes
 CONNECTION = 0.55  #: each of its connections
 LIGHT_VERTEX = 1.55  #: a vertex of a light path, with its splat
 QUERY = 0.3  #: looking for photons at a vertex
-PHOTON = 0.105  #: merging one
+PHOTON = 0.105  #: merging a photon
 #: Cost of a pass that estimates moments, over that of the same pass without.
 LEARNING = 1.7
 
@@ -72,8 +72,8 @@ class Learned:
         return cls(0, nothing.reshape(0, 0, 2, 0), nothing, nothing, np.zeros(4))
 
     def after(self, tiles: NDArray[Any], picture: NDArray[Any], work: Sequence[float], generation: int = 0) -> Learned:
-        """With one more pass: its ``tiles``, ``picture`` (height, width), work, and generation. Moments of another
-        generation are not those of the passes to come: the new ones stand for them."""
+        """With one more pass: its ``tiles``, ``picture`` (height, width), work, and generation. Moments of an
+        earlier generation do not hold for later passes: the new ones replace those of all passes before."""
         new = np.asarray(tiles, np.float32), np.asarray(picture, np.float32), np.square(picture, dtype=np.float32)
         if self.passes:
             tiles = (self.passes * new[0] if generation != self.generation else self.tiles) + new[0]

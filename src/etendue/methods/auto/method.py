@@ -2,14 +2,14 @@ r"""``vcm`` that chooses its sample counts while it renders: light paths per cam
 
 The first passes have many techniques, and estimate what the second moment of the picture would be for each of the
 :data:`CANDIDATES` (:class:`etendue.transport.Moments`). The counts whose product of error and cost is least
-(:mod:`.efficiency`) render the passes after. Without light paths a pass is one of ``path``. Such estimates are repeated
-during the run, at a bounded share of its cost, and the decision with them: light that is found late changes it.
+(:mod:`.efficiency`) render the following passes. Without light paths a pass is one of ``path``. Estimates and decision
+are repeated during the run, at a bounded share of its cost, because light that is found late changes them.
 
-All passes are part of the picture, with equal weights: each is an estimate of the picture whatever the passes before
-have found, with a bias, where it merges, that vanishes as the radius shrinks.
+All passes are part of the picture, with equal weights: each is an estimate of the picture, whatever earlier passes have
+found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
 Nothing is learned in a run that is too short for it: below :data:`_LEAST` seconds, ``bpt`` renders scenes with mirrors
-or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm`` does if light paths cannot be
+or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm`` if light paths cannot be
 connected to the sensor), and ``path`` renders the others. Up to :data:`_PER_KIND` seconds more for each kind of
 material, which all make kernels larger, ``vcm`` renders scenes with mirrors or glass and lights other than an
 environment, and ``path`` the others.
@@ -57,17 +57,17 @@ FIXED: dict[str, Candidate] = {
     "bpt with 6 connections": Candidate(0.5, 6, False),
     "vcm": Candidate(0.5, 1, True),
 }
-#: Seconds of a run below which no light paths are traced, and seconds more for each kind of material below which
-#: nothing is learned: kernels may have to be compiled.
+#: Seconds of a run below which light paths are traced only for caustics that ``path`` never finds, and seconds more for
+#: each kind of material below which nothing is learned: kernels may have to be compiled.
 _LEAST, _PER_KIND = 6.0, 1.5
 #: Share of a run's cost for passes that learn, after the first ones.
 _SHARE = 0.06
 #: Least ratio of products of error and cost at which the counts stay as they are.
 _WORTH_IT = 0.93
-#: Products of error and cost that are as good, from few passes.
+#: Ratio of products of error and cost up to which two candidates count as equal: few passes estimate them.
 _ALIKE = 1.05
 #: If caustics are expected, products of candidates without light paths, and without merging, are multiplied by 1 plus
-#: this number over the number of passes that have learned: a caustic may be too small for all of them.
+#: this number over the number of passes that have learned: these may all have missed a small caustic.
 _DOUBT = {"path": 1.0, "bpt": 0.4}
 
 
@@ -104,7 +104,7 @@ class Auto(Carrying, ImageMethod):
     carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`ImageMethod`. What only passes with light paths need is prepared by the first of them."""
+        """See :class:`ImageMethod`. The first pass with light paths prepares what only such passes need."""
         self._forget_states()
         super().prepare(problem, seed)
         self._seed = seed
@@ -221,7 +221,7 @@ class Auto(Carrying, ImageMethod):
     def _path(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass of path tracing."""
         lights = self._lights_of_paths()
-        # Roulette as in the passes that foresee the error, unless it renders as the method ``path`` does.
+        # Roulette as in the passes that predict the error; with fixed counts, as in the method ``path``.
         survival = Walker.survival if self.settings.choice in FIXED else CameraWalk.survival
 
         def trace(ray: mi.Ray3f, source: SampleSource, first: FirstHits | None) -> CameraPath:
@@ -231,7 +231,7 @@ class Auto(Carrying, ImageMethod):
         return path_pass(self, iteration, seed, samples, trace)
 
     def _lights_of_paths(self) -> LightTable:
-        """The lights for path tracing: as selected by the passes that foresee its error."""
+        """The lights for path tracing, with the probabilities of the passes that predict its error."""
         if self._vcm is None and "emission" not in self._vcm_state:
             return self.lights
         return self._estimator().sampled_lights
@@ -262,7 +262,7 @@ class Auto(Carrying, ImageMethod):
 
     def _moments(self) -> Moments:
         """Estimates of the moments of a pass."""
-        light_paths = LEARNER.light_paths * self.camera.pixels  # over camera paths of a pixel
+        light_paths = LEARNER.light_paths * self.camera.pixels  # of a pass, over camera paths of a pixel
         # A photon is merged by several camera paths of a pixel, and of its neighbours: the noise of merges is not
         # filtered as that of camera paths is. The root fits passes of 1 to 4 camera paths per pixel.
         noise = math.sqrt(self.samples_per_iteration) / BidirectionalSettings.eta_discount
@@ -280,8 +280,8 @@ class Auto(Carrying, ImageMethod):
                 if not candidate.merging:
                     products[candidate] *= 1.0 + _DOUBT[kind] / self._learned.passes
         best = min(products, key=lambda c: products[c])
-        # Rare bright paths, which two passes may find or not, add as much to the error of all candidates, and make the
-        # cheap ones look better than they are: a connection is made even if it seems to pay a little less than none.
+        # Rare bright paths, which two passes may find or not, add the same error to all candidates, so that cheap ones
+        # look better than they are: one connection is made even if its product is a little larger than without.
         connected = replace(best, connections=1)
         if best.connections == 0 and products.get(connected, math.inf) <= _ALIKE * products[best]:
             best = connected
@@ -297,7 +297,7 @@ class Auto(Carrying, ImageMethod):
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes; the metadata contain the counts of the next pass, and the products of error and cost
-        of the best candidates over the least."""
+        of the best candidates, relative to the least."""
         result = super().develop(measurement, state)
         result.metadata |= {"chosen": describe(Candidate(*state["counts"])), "products": dict(state["products"])}
         return result
@@ -330,9 +330,9 @@ class Auto(Carrying, ImageMethod):
             self._vcm.enter(self._state_of_vcm())
 
     def _state_of_vcm(self) -> State:
-        """The state of the estimator, that after its preparation where passes have left none: those of a run that was
-        too short to learn know nothing of connections. A new object, which is always loaded, because a pass that has
-        failed may have learned."""
+        """The state of the estimator. Entries that passes have not left are those after its preparation: a run that was
+        too short to learn leaves none of connections. A new object, so that it is always loaded: a failed pass may have
+        changed the learned densities."""
         return {**self._vcm_first, **self._vcm_state}
 
     # ------------------------------------------------------------------ the scene

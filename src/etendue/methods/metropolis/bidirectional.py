@@ -1,4 +1,4 @@
-"""The bidirectional estimator as a target: a pair of sub-paths a sample, all of whose vertices are connected."""
+"""The bidirectional estimator as a target: each sample is a pair of sub-paths, all of whose vertices are connected."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from etendue.transport import dimensions as dim
 from ..base import ImageMethod, keep_finite
 from .targets import ROULETTE, Contribution, Traced, camera_slots, film_place, light_slots
 
-#: Room for the light vertices of a path at first, and growth where it was too small.
+#: First capacity for the light vertices of a path, and factor on the wanted capacity where it was too small.
 _VERTICES, _GROWTH = 4.0, 1.5
-#: How many of the longest paths there is always room for.
+#: Number of longest paths for which there is always room.
 _FEW = 32
 
 
@@ -44,8 +44,8 @@ _FEW = 32
 class SplatList(Sink):
     """The splats of each light path, kept apart: one for each of the first ``count`` vertices, and one for the others.
 
-    Of the further vertices j = 1, 2, … one is kept, J with the probability 2^-J, times 2^J. ``u``: one number a path,
-    which draws J.
+    Of the further vertices j = 1, 2, … one is kept: J, drawn with the probability 2^-J, times 2^J. ``u``: one number a
+    path, which draws J.
     """
 
     camera: Any
@@ -89,7 +89,7 @@ class SplatList(Sink):
         return contribution.active & ~finite
 
     def contributions(self) -> list[Contribution]:
-        """What was kept, after the walk."""
+        """The kept splats, after the walk."""
 
         def row(slot: int, index: int) -> mi.Float:
             return dr.gather(mi.Float, self.array, self._lane + (self._rows * slot + index) * self._lanes)
@@ -131,7 +131,7 @@ class PairTarget:
         common = {"camera": camera, "mis": mis, "dark": dr.opaque(mi.Float, 0.0)}
         splats = None
         if self._techniques.splat:
-            u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # without a place in the layout
+            u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # not in the layout
             splats = SplatList(camera=camera, count=self._vertices, u=u, components=method.settings.components)
         vertices = LightVertices(self._room(lanes), lanes, self._indexed, connected=True)
         walk: LightWalk = method.walker(LightWalk, **common, sink=splats)

@@ -1,25 +1,25 @@
 r"""The picture of chains and that of an independent estimator as one.
 
-Chains tell how light is distributed on the film, not how much there is. Each pass also has a picture P of an
-independent, unbiased estimator, which tells the scale and takes part in the result. With the pictures of pass i, C of
+Chains determine how light is distributed on the film, not how much there is. Each pass also has a picture P of an
+independent, unbiased estimator, which determines the scale and is part of the result. With the pictures of pass i, C of
 the chains without their scale, L of the large steps as independent samples, and a weight a for each pixel, the picture
 of n passes is
 
 .. math:: S_n = s_n D_n + R_n + B_n, \quad
    D_n = \sum_i (1 - a_i) C_i, \; R_n = \sum_i (1 - a_i) L_i, \; B_n = \sum_i a_i P_i,
 
-over n, where the scale s_n makes the brightness of the picture that of the independent estimator,
+divided by n, where the scale s_n makes the brightness of the picture that of the independent estimator,
 
 .. math:: s_n = \frac{\Phi(\sum_i P_i) - \Phi(R_n) - \Phi(B_n)}{\Phi(D_n)}
 
 with a weighted mean luminance Phi. A pass adds the difference of S_n and S_{n-1} to the sum of the run. Chains and
-independent samples are two independent halves each; everything here is done for each half by itself, so that the
-difference of the halves measures the error, that of the scale included.
+independent samples each have two independent halves; everything here is done for each half by itself, so that the
+difference of the halves measures the error, including that of the scale.
 
-The weights of a pass are those of least variance, a = v_C / (v_C + v_P), by the variances that the passes before it
-have shown. The chains of a half are in two groups, whose difference tells v_C, and the weights of a half are those of
-the chains of the other one: a chain carries on where it was, so weights by its own past would be small where it has not
-found the light, and the picture would lose it.
+The weights of a pass are those of least variance, a = v_C / (v_C + v_P), with variances estimated from earlier passes.
+The chains of a half are in two groups, whose difference measures v_C. Each half is weighted by the variances of the
+other half: a chain continues where it was, so weights a by its own past would be small where it has not found the
+light, and the picture would lose this light.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 #: Side of a cell in which variances are measured, in pixels, and the weight of the independent estimator before they
 #: are known.
 _CELL, _FIRST = 24, 0.5
-#: Largest and least weight, so that both are known.
+#: Least and largest weight, so that both always contribute.
 _LEAST, _MOST = 0.02, 0.98
 Pictures = NDArray[np.floating[Any]]
 #: The arrays of :class:`Blend`.
@@ -51,7 +51,7 @@ _ARRAYS = ("chained", "large", "contrast", "spread", "kept", "scatter")
 
 @dataclass(frozen=True)
 class Scale:
-    """The scale of the chains of each half, and what it is computed from.
+    """The scale of the chains of each half, and the sums that it is computed from.
 
     ``sums``: (halves, 3), brightness of D, of R + B and of the sum of P. ``scale``: (halves,). ``told``: number of the
     pictures P of all halves and passes, and sums of their mean luminance and of its square.
@@ -68,7 +68,7 @@ class Scale:
 
     def after(self, brightness: Array, luminance: Array, otherwise: Array) -> Scale:
         """The scale with a further pass: ``brightness`` as ``sums``; ``luminance`` of P, (halves,). ``otherwise``: the
-        scale of each half by the large steps, for a half in which P has not found more light than they have."""
+        scale of each half by the large steps, used where the sum of P is not brighter than R + B."""
         sums = self.sums + brightness
         rest = sums[:, 2] - sums[:, 1]
         known = (rest > 0.0) & (sums[:, 0] > 0.0)
@@ -86,7 +86,7 @@ class Scale:
 
 
 class Grid:
-    """Cells of a picture, between whose centres values are linear."""
+    """Cells of a picture; values are interpolated linearly between their centres."""
 
     def __init__(self, width: int, height: int) -> None:
         self._columns, self._rows = _tents(width), _tents(height)
@@ -98,7 +98,7 @@ class Grid:
         return result
 
     def spread(self, cells: Array) -> Array:
-        """(height, width) values between those of the cells."""
+        """(height, width) values interpolated between the cells."""
         result: Array = self._rows @ cells @ self._columns.T
         return result
 
@@ -124,13 +124,13 @@ def brightness(pictures: Pictures, factors: Array) -> Array:
 
 @dataclass(frozen=True)
 class Blend:
-    """What is carried on from pass to pass; arrays are replaced, never modified.
+    """The sums that are carried from pass to pass; arrays are replaced, never modified.
 
     ``chained``: D of each part and half, (parts, 2, height, width, 3); a picture is the sum of its parts, which are the
     components of light, or one. ``large``: R of each half. ``contrast``: half differences of the luminance of D and R
-    between the groups of each half, (2, 2, height, width). ``spread``: sum over the passes of the squared difference of
-    the luminance of P, (height, width), times 1/2: the variance of a half. ``kept``, ``scatter``: sums of 1 - a, and of
-    its square over the steps of the pass, (2, height, width).
+    between the groups of each half, (2, 2, height, width). ``spread``: sum over the passes of half the squared
+    difference of the luminance of P between the halves, (height, width): the variance of a half. ``kept``, ``scatter``:
+    sums of 1 - a, and of its square over the steps of the pass, (2, height, width).
     """
 
     scale: Scale
@@ -173,13 +173,13 @@ class Blend:
             picture = luminance(scale * self.chained[:, half].sum(axis=0) + self.large[half])
             inverse = 1.0 / (np.square(picture / self.kept[half]) + RELATIVE_EPSILON)
             difference = scale * self.contrast[0, half] + self.contrast[1, half]
-            # The sum over passes of 1 - a times a picture whose variance is that of a step over the number of steps.
+            # A sum over passes of 1 - a times a picture, whose variance is that of one step over the number of steps.
             chained.append(grid.means(np.square(difference) / self.scatter[half] * inverse))
             paths.append(grid.means(self.spread / self.passes * inverse))
         return np.array(chained), np.array(paths)
 
     def weights(self, grid: Grid, steps: int) -> Array:
-        """a of each half in the next pass, of so many steps; (2, height, width)."""
+        """a of each half in the next pass, of ``steps`` steps; (2, height, width)."""
         if self.passes == 0:
             return np.full(self.kept.shape, _FIRST)
         by_chains, by_paths = (cells[::-1] for cells in self.variances(grid))  # those of the other half
@@ -191,7 +191,7 @@ class Blend:
     def after(
         self, made: PassResult, independent: Pictures, weights: Array, factors: Array, steps: int
     ) -> tuple[Blend, Array]:
-        """(what is carried on after a pass of chains and the picture P, what the pass adds to the picture). Pictures
+        """(the sums after a pass of chains and the picture P, the contribution of the pass to the picture). Pictures
         are (parts, 2, height, width, 3); ``factors``: of the brightness."""
         assert made.chained is not None and made.large is not None and made.contrast is not None
         keep = 1.0 - weights
@@ -217,8 +217,8 @@ class Blend:
 
 
 class Beside:
-    """An independent estimator beside the chains, prepared: its passes for each half. ``parts``: layers of the pictures
-    that it makes."""
+    """A prepared independent estimator beside the chains, with passes of its own for each half. ``parts``: layers of
+    its pictures."""
 
     def __init__(self, method: ImageMethod, parts: Sequence[str]) -> None:
         self.method, self._parts = method, parts

@@ -1,4 +1,4 @@
-r"""Many short Markov chains over primary samples, one in each lane, which splat what they find.
+r"""Many short Markov chains over primary samples, one in each lane, which splat their contributions.
 
 A step proposes a path x' for the path x of a chain, by a large or a small step (:mod:`etendue.integration.primary`),
 and accepts it with the probability a = min(1, t(x') / t(x)) for a target t > 0, the luminance of the path's
@@ -11,8 +11,8 @@ density t / b with b the integral of t; the two are combined by the balance heur
    + a \frac{c(x')}{q(x')} \right) + \ell \, \frac{c(x')}{q(x')} \right), \qquad q = \kappa t / b_0 + p
 
 where l is 1 in large steps, else 0, b_0 is the estimate of b by the bootstrap, and kappa < 1 is the weight of a step of
-a chain, whose neighbours are correlated. The weights are exact for any fixed b_0 and kappa. Large steps tell b, but
-badly where they find light rarely: the two terms are kept apart, and b is left to :mod:`.blend`.
+a chain, whose neighbours are correlated. The weights are exact for any fixed b_0 and kappa. Large steps estimate b,
+but badly where they find light rarely: the two terms are kept apart, and :mod:`.blend` determines b.
 
 The chains and the samples of the bootstrap are two independent *halves*, so the difference of their pictures measures
 the error, whatever the correlation along chains.
@@ -39,8 +39,8 @@ from .states import HALF_BIT, ChainStates, PassResult, Progressed, by_half, draw
 from .targets import Contribution, Target, Traced, largest_target
 from .walk import GROUPS, Walk
 
-#: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
-#: long as only one of the halves has found light.
+#: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second
+#: factor as long as only one of the halves has found light.
 _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
@@ -56,7 +56,7 @@ class Runner:
     Attributes
     ----------
     chains: a multiple of four.
-    bootstrap: samples that chains start from, at least.
+    bootstrap: least number of samples that chains start from.
     sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
     room: bytes that the bootstrap may take on the host.
     """
@@ -68,9 +68,9 @@ class Runner:
     sampler: str
     equalise: bool
     room: float = math.inf
-    #: Called with all that is splatted: whether by large steps as independent samples, contributions, weight.
+    #: Called with all splats: whether they are of large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
-    #: By which sources know the chains (:func:`numbers_of`), and the group of each.
+    #: Numbers of the chains in sources (:func:`numbers_of`), and the group of each chain.
     numbers: mi.UInt32 = field(init=False)
     group: mi.UInt32 = field(init=False)
     _frozen: Frozen[Traced] = field(init=False)
@@ -88,7 +88,7 @@ class Runner:
     # ------------------------------------------------------------------ random numbers
 
     def independent(self, name: str, seed: int, first: int) -> Callable[[mi.UInt32], SampleSource]:
-        """Numbers of independent samples, from the number ``first`` of each half on, as a function of
+        """Random numbers of independent samples, which each half counts from ``first`` on, as a function of
         :func:`numbers_of` samples."""
 
         def fresh(number: mi.UInt32) -> SampleSource:
@@ -103,15 +103,15 @@ class Runner:
         return fresh
 
     def small(self, name: str, seed: int, step: int) -> Callable[[mi.UInt32], SampleSource]:
-        """Numbers that move the states."""
+        """Random numbers that move the states."""
         return lambda number: IndependentSource(number, seed, f"small {name}", step)
 
     def moves(self, seed: int, first: int) -> dict[str, Move]:
-        """Large steps by the independent samples from the number ``first`` of each half on."""
+        """Large steps to independent samples, which each half counts from ``first`` on."""
         return {name: Move(self.independent(name, seed, first)) for name in self.target.layouts}
 
     def trace(self, moves: Mapping[str, Move], numbers: mi.UInt32, states: ChainStates | None) -> Traced:
-        """The proposals of a move; of a step if there are ``states``, whose kernels are frozen."""
+        """The proposals of a move. With ``states`` the move is a step, whose kernels are frozen."""
         fresh = {name: move.fresh(numbers) for name, move in moves.items()}
         size = next(iter(moves.values())).size
         lanes = dr.width(numbers)
@@ -131,7 +131,7 @@ class Runner:
         size: mi.Float | None,
         lanes: int,
     ) -> Traced:
-        """Paths by fresh numbers, or by those of the states moved with them, by small steps of a ``size``."""
+        """Paths by fresh numbers, or by those of the states, moved by small steps of a ``size``."""
         lane = dr.arange(mi.UInt32, lanes)
         sources = {
             name: PrimarySource(layout, fresh[name], lane, lanes, None if numbers is None else numbers[name], size)
@@ -174,7 +174,7 @@ class Runner:
         return Progressed(states, factors, float(targets.mean()), cap, found, large=len(parts) * (lanes // 2))
 
     def _for_the_map(self, batches: int) -> int:
-        """How many of the batches, the first ones, tell the factors by film position. No states are drawn from these:
+        """Number of the first batches, which determine the factors by film position. No states are drawn from these:
         where a sample is bright, the factor is small, and the picture of states among the same samples too bright."""
         return max(1, batches // 5) if self.equalise and batches > 1 else 0
 
@@ -199,7 +199,7 @@ class Runner:
         """The states after some chains have begun anew: at proposals of large steps, drawn in proportion to the target,
         as many as if all first states had been drawn from all independent samples so far.
 
-        ``targets``: of the proposals, those numbered from ``first`` on in each half, (halves, proposals).
+        ``targets``: of the proposals, which each half counts from ``first`` on, (halves, proposals).
         """
         half, sums = self.chains // 2, targets.sum(axis=1)
         u = np.array(IndependentSource(self.numbers, seed, "renew", carried.steps).next_1d(0, 0)).reshape(2, half)
@@ -220,8 +220,8 @@ class Runner:
         kept: Mapping[str, mi.Float],
         at: mi.UInt32 | None,
     ) -> ChainStates:
-        """States at the independent samples ``numbers``, whose random numbers are written to those ``kept`` of all
-        chains, to the chains ``at``, or to all of them."""
+        """States at the independent samples ``numbers``. Their random numbers are written to the arrays ``kept`` of all
+        chains, for the chains ``at`` or for all."""
         traced = self.trace(moves, numbers, None)
         target = self.value(traced.contributions, factors, cap)
         dr.eval(traced.contributions, target)
@@ -242,7 +242,7 @@ class Runner:
     # ------------------------------------------------------------------ steps
 
     def run(self, carried: Progressed, steps: int, seed: int, splats: Splats | None) -> tuple[Progressed, PassResult]:
-        """``steps`` steps of all chains. ``splats``: :data:`IMAGES` empty images, or so many for each component;
+        """``steps`` steps of all chains. ``splats``: :data:`IMAGES` empty images, or that many for each component;
         ``None`` if only :attr:`record` is wanted."""
         owed = carried.owed + carried.share * steps
         large_steps = min(int(owed + 1e-9), steps)
@@ -255,7 +255,7 @@ class Runner:
 
 
 def _drawn_numbers(targets: Array, counts: Sequence[int], seed: int, purpose: str, step: int) -> mi.UInt32:
-    """Numbers of samples (:func:`numbers_of`), so many of each half, drawn in proportion to their targets, (halves,
+    """Numbers of samples (:func:`numbers_of`), ``counts`` of each half, drawn in proportion to their targets, (halves,
     samples)."""
     chosen = [
         drawn(row, count, _offset(seed, purpose, index, step)) + (index << HALF_BIT)

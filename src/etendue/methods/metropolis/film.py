@@ -1,4 +1,4 @@
-"""The film under chains: how brightness is divided out of the target, and where contributions go."""
+"""A factor on the target of chains, by which bright parts of the film get fewer samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from etendue.core import RELATIVE_EPSILON, on_device
 #: Samples of the bootstrap in a cell of the map, and most cells along an axis.
 _PER_CELL = 128
 _MOST_CELLS = 64
-#: Contributions above this many times the mean count as much, so that one of them does not darken a cell.
+#: Contributions are clipped to this many times the mean, so that one of them does not darken a cell.
 _MOST_OVER_MEAN = 50.0
 
 
@@ -44,8 +44,8 @@ class BrightnessMap:
 
     @classmethod
     def measured(cls, parts: Sequence[NDArray[np.float32]], size: tuple[int, int]) -> BrightnessMap:
-        """The factor for a picture of contributions, (x y luminance, contributions of a sample, samples) in each part,
-        x and y in pixels."""
+        """The factor from contributions: each part is an array (3, contributions of a sample, samples) of x and y, in
+        pixels, and luminance."""
         width, height = size
         samples = sum(part.shape[2] for part in parts)
         cells = max(1.0, min(samples / _PER_CELL, width * height / 4))

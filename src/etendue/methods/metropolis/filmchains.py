@@ -5,7 +5,7 @@ colours [Leeson 2001, sec. 5.7.5 to 5.7.8; see :mod:`etendue.film.developing`]. 
 luminance of paths, and a sample has the colour of its path: a path brings light of all channels, so chains for each
 channel would need three times as many paths, and their independent noise would be coloured.
 
-Chains are drawn to lights that the camera sees directly, whose pixels need few samples. Two cures [Leeson 2001, sec.
+Chains make many samples of lights that the camera sees directly, whose pixels need few. Two remedies [Leeson 2001, sec.
 6.2.3]: this light is left out of the chains and painted later, from independent samples (``later``), or all samples in
 the region of the film where lights are seen are independent ones (``split``).
 """
@@ -54,7 +54,7 @@ Rows = NDArray[np.float32]
 FILM = "film"
 #: Independent samples of lights, per step of a chain.
 _PAINTED = 0.25
-#: Paths of a pixel that look for lights.
+#: Paths of a pixel that search for lights.
 _PILOT = 16
 
 
@@ -206,7 +206,7 @@ class FilmMetropolis(MetropolisMethod):
         return self._film
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`MetropolisMethod`. Where all light comes straight from lights that are seen, chains sample it."""
+        """See :class:`MetropolisMethod`. If all light comes directly from lights that are seen, chains sample it."""
         #: How lights that are seen are sampled.
         self.seen_lights = self.settings.lights
         try:
@@ -223,8 +223,8 @@ class FilmMetropolis(MetropolisMethod):
         return beside_paths(self)
 
     def _begin_blend(self) -> None:
-        """See :class:`MetropolisMethod`. The independent estimator tells the scale and takes no part in the picture,
-        which is one of samples; it has the pixels of their histogram."""
+        """See :class:`MetropolisMethod`. The independent estimator determines the scale only: the picture is made of
+        samples. The pixel filter of the estimator is that of their histogram."""
         super()._begin_blend()
         self._blend = Blend.empty(0, 0)
         camera = self._beside.method.camera
@@ -233,8 +233,8 @@ class FilmMetropolis(MetropolisMethod):
         self._dim = self._without_lights()
 
     def _without_lights(self) -> Array:
-        """1 for pixels in and around which a few paths see no light that is painted, (height, width). They tell the
-        scale: the noise of a lamp would hide what chains bring. Any choice made before the passes is right."""
+        """(height, width): 1 for pixels in and around which a few paths see no painted light. Only these determine the
+        scale: the noise of a lamp would hide the light of the chains. Any choice made before the passes is valid."""
         width, height = self.camera.width, self.camera.height
         every = np.ones((height, width))
         if self.seen_lights == "chain":
@@ -301,13 +301,13 @@ class FilmMetropolis(MetropolisMethod):
 
     @staticmethod
     def _by_half(parts: Sequence[Rows]) -> list[Rows]:
-        """The rows of each half; the first part of each array is of the first one."""
+        """The rows of each half; the first part of each array belongs to the first half."""
         empty = np.zeros((0, FILM_COLUMNS), np.float32)
         return [np.concatenate([empty, *(np.split(rows, 2)[half] for rows in parts)]) for half in range(2)]
 
     def _painted(self, iteration: int, seed: int, count: float, counters: dict[str, float]) -> Rows:
-        """Rows of independent samples of the light that chains leave out, weighted as samples of chains; those of each
-        half evenly spread by numbers of their own."""
+        """Rows of independent samples of the light that chains leave out, weighted as samples of chains; each half
+        has its own stratified numbers."""
         lanes = 2 * max(1, round(0.5 * _PAINTED * count))
         source = self.runner.independent("painted", seed, iteration * (lanes // 2))(numbers_of(lanes))
         place, value, rays = self._film.painted(source)

@@ -1,4 +1,4 @@
-r"""Light paths in numbers of the unit cube: their edges one by one, and independent paths.
+r"""Light paths as numbers of the unit cube: their edges one by one, and independent paths.
 
 A path of l edges is five numbers of its first edge (light, point, direction) and three of each later one (component of
 the BSDF, direction). Without roulette, the flux that arrives at its end,
@@ -26,7 +26,7 @@ from etendue.transport import dimensions as dim
 
 from .. import base
 
-#: Component of the number of roulette, edges from which on it plays, and largest probability to survive it.
+#: Component of the number of roulette, edges from which on it applies, and largest probability of survival.
 _ROULETTE, _ROULETTE_FROM, _LIVES = 62, 4, 0.95
 #: Component of the number that picks one of the edges of an independent path.
 _PICK_EDGE = 63

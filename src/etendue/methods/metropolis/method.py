@@ -39,7 +39,7 @@ from .states import ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
 from .walk import IMAGES
 
-#: Most chains, on a GPU and on a CPU, whose cores fewer keep busy: the same number of steps takes fewer chains further;
+#: Most chains, on a GPU and on a CPU: fewer keep the cores of a CPU busy, and each makes more steps in the same time;
 #: and least steps of a pass.
 _MOST_CHAINS, _MOST_CPU_CHAINS = 1 << 16, 1 << 15
 _STEPS = 8
@@ -57,16 +57,16 @@ _LEAST_LARGE = 0.25
 _FEW = 100
 #: Camera paths of the independent estimator for each half, to steps of chains in the first pass.
 _BESIDE = 0.25
-#: Share of the work of a pass that chains have, at least and at most, and what a ray of theirs costs relative to one of
-#: the independent estimator.
+#: Least and largest share of the work of a pass for chains, and cost of a ray of chains relative to a ray of the
+#: independent estimator.
 _SHARES, _RAY = (0.25, 0.8), 1.5
 #: Most steps of a pass, relative to the first.
 _LONGEST = 16
 
 
 def beside_paths(method: ImageMethod) -> type[ImageMethod]:
-    """The estimator beside chains over camera paths: ``bpt``, but not where it finds more light than these, that of
-    lights which no ray hits through mirrors and glass."""
+    """The estimator beside chains over camera paths: ``bpt``, but ``path`` in scenes with lights that no ray can hit,
+    whose light through mirrors and glass only ``bpt`` finds."""
     return Path if method.lights.has_delta else Bpt
 
 
@@ -122,8 +122,8 @@ class MetropolisMethod(Carrying, ImageMethod):
         """The function of random numbers that the chains sample. The scene's tables are ready."""
 
     def beside(self) -> type[ImageMethod]:
-        """The independent estimator that tells the scale of the picture. It finds the light that chains find, and no
-        other."""
+        """The independent estimator that determines the scale of the picture. It finds the light that chains find, and
+        no other."""
         return Bpt
 
     def prepare(self, problem: Problem, seed: int) -> None:
@@ -229,8 +229,8 @@ class MetropolisMethod(Carrying, ImageMethod):
 
     def _plan(self) -> int:
         """Steps of the next pass: where chains have less variance for their work than the independent estimator, they
-        have the larger share of the work. The steps are tuned in the first passes only, as their size is: the number
-        would depend on where the chains are, and so would their mean picture."""
+        have the larger share of the work. The number of steps is tuned in the first passes only, as their size is:
+        otherwise it would depend on where the chains are, which would bias their mean picture."""
         if not 0 < self._passes < TUNING:
             return self._planned
         by_chains, by_paths = (v.mean() for v in self._blend.variances(self._grid))
@@ -248,8 +248,8 @@ class MetropolisMethod(Carrying, ImageMethod):
     def _pictures(
         self, iteration: int, seed: int, made: PassResult, independent: Array, steps: int
     ) -> tuple[Array, dict[str, Record]]:
-        """(what a pass adds to the picture, (parts, 2, height, width, 3); records). ``independent``: the picture beside
-        the chains."""
+        """(contribution of a pass to the picture, (parts, 2, height, width, 3); records). ``independent``: the picture
+        beside the chains."""
         weights = self._blend.weights(self._grid, steps)
         factors = self._carried.factors.of_pixels
         self._blend, added = self._blend.after(made, independent, weights, factors, steps)
@@ -275,8 +275,8 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._carried = replace(c, size=size, share=share)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """See :class:`ImageMethod`; the metadata tell how the chains move, and the mean luminance of the independent
-        estimator with its standard error."""
+        """See :class:`ImageMethod`; the metadata contain facts about the chains, and the mean luminance of the
+        independent estimator with its standard error."""
         result = super().develop(measurement, state)
         result.metadata["chains"] = self.facts(measurement, state)
         return result

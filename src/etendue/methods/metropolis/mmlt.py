@@ -6,10 +6,10 @@ target is the luminance of
 
 .. math:: c = \frac{n_k}{P(k)} \, w_{s,t} \, \frac{f}{p_{s,t}}
 
-with the weight w of bidirectional path tracing, so that chains spend their time on the techniques that make the most of
-a path [Hachisuka 2014]. Small steps keep the length; large ones draw it anew, in proportion to what a pilot has found.
+with the weight w of bidirectional path tracing, so that chains spend their time on the techniques that contribute most
+to a path [Hachisuka 2014]. Small steps keep the length; large ones draw it anew, in proportion to the light of a pilot.
 
-Limit: as of ``pssmlt``, chains know only what independent samples have found.
+Limit: as in ``pssmlt``, chains explore only light that independent samples have found.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ from ..base import ImageMethod, ImageSettings, keep_finite
 from .method import MetropolisMethod, MetropolisSettings
 from .targets import ROULETTE, Contribution, Target, Traced, camera_slots, film_place, light_slots
 
-#: Lengths with a probability of their own. Longer paths share the last one: each further edge has the same probability,
-#: by which light decreases in the pilot from one half of the last lengths to the other, within limits. The square of a
-#: contribution over its probability has a finite mean while this probability is above the square of that ratio.
+#: Number of lengths with a probability of their own, number of the last of these, and limits of the probability of a
+#: further edge. Longer paths share the last length: each further edge has the same probability, the ratio per edge by
+#: which light decreases in the pilot, from one half of the last lengths to the other. The square of a contribution over
+#: its probability has a finite mean while the probability of an edge is above the square of that ratio.
 _LENGTHS, _LAST, _LONGER = 12, 8, (0.5, 0.98)
-#: Share of the probabilities of lengths that the pilot does not change, and its samples.
+#: Share of the probabilities of lengths that the pilot does not change, and samples of the pilot.
 _EVEN, _PILOT = 0.2, 1 << 16
 
 
@@ -63,7 +64,7 @@ class SingleTarget:
             max_edges=method.edges,
             components=method.settings.components,
         )
-        self._last = 1 if can_splat else 0  # techniques of k >= 2 edges beyond k
+        self._last = 1 if can_splat else 0  # techniques of a path of k >= 2 edges, minus k
         depth = method.settings.max_depth
         if depth == 0:
             raise OptionError("mmlt needs paths of at least one edge; set max_depth to 1 or more, or to -1")
@@ -77,7 +78,7 @@ class SingleTarget:
             "camera": Layout(end, [*inner, *crossing], vertices),
             "light": Layout(light[0], [*light[1], *crossing], vertices),
         }
-        #: Lengths beyond the last one of the table.
+        #: Number of lengths beyond the last one of the table.
         self._beyond = math.inf if depth < 0 else max(depth - _LENGTHS, 0)
         self._even = np.ones(_LENGTHS if depth < 0 else min(depth, _LENGTHS))
         self._set_lengths(self._even, None)
@@ -89,7 +90,7 @@ class SingleTarget:
         self._lengths = len(probabilities)
         self._probability = on_device(mi.Float, probabilities)
         self._reached = on_device(mi.Float, np.cumsum(probabilities))
-        #: q of the geometric distribution of further edges, and the share of it that is not longer than the limit.
+        #: q of the geometric distribution of further edges, and the share of this distribution within the limit.
         self.longer = longer
         self._kept = 1.0 if longer is None else 1.0 - longer ** (self._beyond + 1.0)
 

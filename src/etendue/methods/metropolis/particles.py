@@ -91,8 +91,8 @@ class MetropolisParticlesSettings(Settings):
 class MetropolisParticles(Carrying):
     """Particles of equal luminance by Markov chains; implements ``core.Method``.
 
-    A pass is ``steps`` steps of all chains, which are distributed as the incident flux. A chain's repeats of a state
-    are one particle with so many times the power. A measurement has the record ``particles``
+    A pass is ``steps`` steps of all chains, which are distributed as the incident flux. A state that a chain
+    repeats is one particle with that many times the power. A measurement has the record ``particles``
     (:data:`etendue.particles.Rows`, whose power is not divided by the number of steps) and the counter ``paths``, the
     number of steps, as measurements of :class:`~etendue.methods.ParticleTracing` do.
     """
@@ -118,7 +118,7 @@ class MetropolisParticles(Carrying):
         return self._maker.surfaces
 
     def paths_for(self, particles: int) -> int:
-        """Steps that leave so many particles, repeats included."""
+        """Steps that leave this number of particles, repeats included."""
         return particles
 
     def prepare(self, problem: Problem, seed: int) -> None:
@@ -153,7 +153,8 @@ class MetropolisParticles(Carrying):
         lanes = copied_to_device(mi.UInt32, picked.astype(np.uint32))
         edges = copied_to_device(mi.UInt32, pilot.edges[picked])
         self._state = self._paths.from_independent(lanes, edges, seed, "tail bootstrap", 0)
-        #: Independent paths, sums of the luminance at their ends and at the first ones; steps, and those at first ends.
+        #: Number of independent paths, sums of the luminance at all and at first ends; number of steps, of all and at
+        #: first ends.
         self._known = np.array([o.bootstrap, total, pilot.direct.sum(), 0.0, 0.0])
 
     def _independent(self, paths: int, seed: int, role: str, iteration: int) -> Independent:
@@ -206,7 +207,7 @@ class MetropolisParticles(Carrying):
         return float(direct / paths * steps / direct_steps)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """No picture: the flux of a step with its relative standard error, and the diagnosis of the chains."""
+        """No picture: the flux at all ends with its standard error, and the diagnosis of the chains."""
         flux, error = self.flux(measurement)
         steps = measurement.counters[PATHS]
         diagnosis = self.diagnosis(measurement)
@@ -232,14 +233,14 @@ class MetropolisParticles(Carrying):
         flux, error = self.flux(measurement)
         return None if math.isnan(error) else (error / flux) ** 2
 
-    # ------------------------------------------------------------------ what was traced
+    # ------------------------------------------------------------------ results of a measurement
 
     def flux(self, measurement: Measurement) -> tuple[float, float]:
-        """(luminance of the flux at all ends, in the scene's units; its standard error as the power of particles has
-        it). The error is NaN for fewer than two passes.
+        """(luminance of the flux at all ends, in the scene's units; its standard error in the power of particles).
+        The error is NaN for fewer than two passes.
 
-        Particles of a pass have the power by all that is known up to this pass, whose mean over many passes has twice
-        the variance of what is known in the end."""
+        The power of the particles of a pass is by the estimate of the flux up to this pass. Its mean over many passes
+        has twice the variance of the last estimate."""
         (total, direct), variance = measurement.mean(_SCALE), 2.0 * measurement.variance_of_mean(_SCALE)
         scale = self.problem.space.scale**2
         if self.settings.scale == "traced":
@@ -307,11 +308,11 @@ class _RowMaker:
         self._first = on_device(mi.UInt32, table.first_of_pointer)
         self._all_meshes = all(table.is_mesh_pointer[1:])
         shapes = problem.scene.shapes()
-        #: Whether the shapes have a diffuse or glossy part, but for those inside groups.
+        #: Whether the shapes have a diffuse or glossy part, except those inside groups.
         self._is_smooth = np.array([mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in shapes])
 
     def rows(self, walked: Walked, chains: int) -> tuple[Rows, NDArray[np.uint32], NDArray[np.bool_], float]:
-        """(rows in the order of the steps, whose power has the luminance of the repeats; repeats; whether the surface
+        """(rows in the order of the steps, whose power has the repeats as its luminance; repeats; whether the surface
         has a diffuse or glossy part; steps spent at the end of first edges)."""
         slot = dr.compress(walked.counts > 0)
         position, direction, flux = (
@@ -324,7 +325,7 @@ class _RowMaker:
         )
         uv, smooth_inside = mi.Point2f(position.w, direction.w), dr.full(mi.Bool, False, dr.width(slot))
         if not self._all_meshes:
-            # The parameters of other shapes are not those of the preliminary intersection, nor is the shape in a group.
+            # The preliminary intersection of other shapes has neither their parameters nor the shape in a group.
             hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(slot))
             hit.valid = dr.full(mi.Bool, True, dr.width(slot))
             hit.shape, hit.instance = (dr.reinterpret_array(mi.ShapePtr, number) for number in (shape, instance))

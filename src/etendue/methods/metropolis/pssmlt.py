@@ -1,10 +1,10 @@
 r"""Primary sample space Metropolis light transport.
 
 The random numbers of a path are a point u of the unit cube, and t(u) > 0 is the luminance of its contributions. Markov
-chains of density t / b walk through the cube, many at the same time, by small steps around what they have found and
+chains of density t / b walk through the cube, many at the same time, by small steps around their states and
 large steps anywhere [Kelemen 2002]. Light that independent paths find rarely is explored once a chain is there.
 
-Limit: a chain knows only what independent samples of the same estimator have found.
+Limit: chains explore only light that independent samples of the same estimator have found.
 """
 
 from __future__ import annotations

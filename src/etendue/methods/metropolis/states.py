@@ -1,4 +1,4 @@
-"""What Markov chains over primary samples carry on from pass to pass, and how states are drawn."""
+"""The state of Markov chains over primary samples from pass to pass, and how states are drawn."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ChainStates:
 
 @dataclass(frozen=True)
 class Progressed:
-    """All that chains carry on from pass to pass."""
+    """All that chains carry from pass to pass."""
 
     states: ChainStates
     factors: BrightnessMap
@@ -52,19 +52,19 @@ class Progressed:
     #: For each half: samples of the bootstrap and of large steps, and the sums of the target and of its square.
     found: Array
     steps: int = 0  #: steps so far
-    large: int = 0  #: large ones among them
-    longest: int = 0  #: proposals that a chain has rejected in a row, at most
+    large: int = 0  #: independent samples of a half so far: of the bootstrap, and proposals of large steps
+    longest: int = 0  #: most proposals that a chain has rejected in a row
     size: float = 1.0 / 64.0  #: of small steps
     share: float = 0.25  #: of large steps
-    owed: float = 0.0  #: large steps that passes have not made yet, because they make whole ones
+    owed: float = 0.0  #: share of a large step that is left for later passes, because they make whole steps
 
 
 @dataclass
 class PassResult:
     """A pass of all chains.
 
-    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
-    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples.
+    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of all light, and of
+    the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples.
     ``contrast``: half differences of the luminance of both between the groups of each half, (2, 2, height, width).
     ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
     """
@@ -77,8 +77,8 @@ class PassResult:
 
 
 def numbers_of(lanes: int) -> mi.UInt32:
-    """The numbers by which sources know ``lanes`` chains or samples, half of them in each half: the half in the upper
-    bit, and the number in the half."""
+    """The numbers of ``lanes`` chains or samples in sources, half of them in each half: the half in the upper bit, and
+    the number in the half."""
     lane, half = dr.arange(mi.UInt32, lanes), dr.opaque(mi.UInt32, lanes // 2)
     second = lane >= half
     numbers = dr.select(second, (lane - half) + mi.UInt32(1 << HALF_BIT), lane)

@@ -15,7 +15,7 @@ step changes the number of edges by -1, 0 or 1, with equal probabilities:
 
 Each is the reverse of another with the same density, so that a step is accepted with probability min(1, f'/f). No ray
 is cast for the first kind, nor for numbers outside the unit cube, and one for the others: the hits of all edges are
-kept. The thesis changes l and then moves the end, for which there is no reverse step.
+kept. The thesis changes l and then moves the end, a step without a reverse.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class _Trail:
     place: Any  #: distance, and the two parameters on the primitive
     what: Any  #: shape and instance by their registry numbers, primitive, and index of the shape in its group
     flux: Any
-    bounce: Any  #: edges up to this one, those that end at a null surface they cross left out
+    bounce: Any  #: edges up to this one; an edge that continues through a null surface is not a new one
     numbers: Any
 
     @classmethod
@@ -110,7 +110,7 @@ class _Chain:
 
 @dataclass
 class Walked:
-    """What the steps of a pass have left. Rows (slots, 4): a slot is a step and a chain."""
+    """Results of the steps of a pass. Rows (slots, 4): a slot is a step and a chain."""
 
     state: PathNumbers
     counts: mi.UInt32  #: repeats of the state that a chain left at a step; 0: none was left
@@ -152,7 +152,7 @@ class TailChains:
         def leave(c: _Chain, active: mi.Bool) -> None:
             """Write the state of a chain, with its repeats."""
             ray, hit, flux = c.trail.read(c.length - 1, active)
-            # A path found again may miss by rounding what it has hit: without light, its state is no particle.
+            # A path that is traced again may miss its hits by rounding: a state without light is no particle.
             active = active & (c.value > 0.0)
             slot = c.step * n + lane
             u, v = hit.prim_uv
@@ -209,8 +209,8 @@ class TailChains:
         leave: Callable[[_Chain, mi.Bool], None],
     ) -> mi.Bool:
         """One step of each chain, or one more edge of the path of ``state`` where edges are missing; both in one body,
-        because materials and lights are compiled where they are called. Returns the chains that have made a step.
-        ``leave`` is called with the chains before those that move have moved."""
+        because materials and lights are compiled at each call. Returns the chains that have made a step.
+        ``leave`` is called before the chains whose steps are accepted change their states."""
         finds = c.missing > 0
         kind = source.next_1d(c.step, _KIND)
         drops, adds = ~finds & (kind < 1.0 / 3.0), (kind >= 2.0 / 3.0) | finds

@@ -19,7 +19,7 @@ from etendue.transport import dimensions as dim
 from ..base import ImageMethod, keep_finite
 from ..path import traced
 
-#: Longest expected stay of a chain at one path, in large steps; where few samples find light, the second number over
+#: Longest expected stay of a chain at one path, in large steps; if few samples find light, the second number over
 #: their share.
 CAP, _LIT_CAP = 100.0, 10.0
 
@@ -33,7 +33,7 @@ class Contribution:
     component: int = 0  #: ``film.Component``, the same in all lanes; 0 where components are not kept apart
 
     def where(self, mask: mi.Bool, other: Contribution) -> Contribution:
-        """This one where the mask holds, else another one of its component."""
+        """This contribution where the mask holds, elsewhere another one of the same component."""
         position, value = dr.select(mask, self.position, other.position), dr.select(mask, self.value, other.value)
         return Contribution(position, value, self.component)
 
@@ -71,15 +71,15 @@ class Target(Protocol):
 
 
 def largest_target(targets: Array) -> float:
-    """The ``cap`` of a target with given values: the largest one of which a large step is accepted with a probability
-    of at least 1 / ``CAP`` at any path, or a tenth of the share of values above 0 if that is less. It solves ``cap = c
+    """The ``cap`` of a target with given values: the largest with which a large step from any path is accepted with a
+    probability of at least 1 / ``CAP``, or a tenth of the share of values above 0 if that is less. It solves ``cap = c
     mean(min(target, cap))``, c being the inverse of that probability.
     """
     values = np.sort(targets, axis=None)
     count = len(values)
     longest = max(CAP, _LIT_CAP * count / max(int(np.count_nonzero(values)), 1))
     below = np.cumsum(values)
-    above = np.arange(count - 1, -1, -1)  # values behind each one
+    above = np.arange(count - 1, -1, -1)  # number of values behind each
     # The difference of the two sides is concave in cap, and positive near 0.
     last = np.flatnonzero(longest * (below + above * values) >= count * values)[-1]
     return float(longest * below[last] / (count - longest * above[last]))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
 CORRELATED = 0.25
-#: Groups of the chains of a half, whose pictures are apart.
+#: Groups of the chains of a half, with separate pictures.
 GROUPS = 2
 #: Images of the splats of a component: of the chains and of large steps, for each half and group.
 _LARGE = 2 * GROUPS
@@ -81,7 +81,7 @@ class Walk:
         decisions = IndependentSource(runner.numbers, seed, "accept", carried.steps)
         chance = dr.select(target < old.target, target / old.target, 1.0)
         accepted = decisions.next_1d(0, 0) < chance
-        # Not those that decide: contributions would move on the film by whether they are accepted.
+        # Other numbers than the decisions: the place of a contribution must not depend on whether it is accepted.
         places = IndependentSource(runner.numbers, seed, "filter", carried.steps)
         stay, go = (1.0 - chance) * self._weight(old.target), chance * self._weight(target)
         # One path is splatted now: the old one if it is left for good, or else the proposal.

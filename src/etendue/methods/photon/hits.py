@@ -13,11 +13,11 @@ from .photons import PhotonShot
 
 
 def photon_hits(shot: PhotonShot, problem: Problem) -> Particles:
-    """The photons of a pass of a photon mapping method (:meth:`PhotonMapping.shoot`) as particles, with the power of
-    all light paths together.
+    """The photons of a pass of a photon mapping method (:meth:`PhotonMapping.shoot`) as particles, whose power is
+    divided by the number of light paths.
 
-    Shapes, primitives and parameters are not known (all 0): maps find them by their positions. Nor are the numbers of
-    paths: each photon is a path of its own.
+    Shapes, primitives and parameters are not known (all 0): maps find them by the positions. The numbers of paths are
+    not known either: each photon counts as a path.
     """
     _, _, held = shot.vertices.positions()
     dr.eval(held)

@@ -1,11 +1,11 @@
 r"""Photon mapping: density estimation from the nearest photons.
 
 Radiance is estimated from the k nearest photons [Jensen 1996], within the distance r of the farthest, in two maps:
-photons that came through mirrors or glass only (caustics), and the others. With ``final_gather`` the second map is
-evaluated one bounce later, in a map of all photons, which hides the low-frequency noise of the estimate.
+photons that came through mirrors or glass only (caustics), and the others. With ``final_gather`` the second map
+has all photons and is evaluated one bounce later, which hides the low-frequency noise of the estimate.
 
 Every pass traces its own photons, and the picture is the mean over passes: noise vanishes with more passes, the blur by
-the radius does not. ``sppm`` and ``vcm`` are without this limit.
+the radius does not. ``sppm`` and ``vcm`` do not have this limit.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Pm(PhotonMapping):
         self._neighbours = dr.opaque(mi.UInt32, self.settings.neighbours)
 
     def light_paths(self) -> int:
-        """As many as store ``photons`` photons."""
+        """The number of light paths that store ``photons`` photons, measured by the pilot."""
         return max(1, round(self.settings.photons / max(self.tracer.photons_per_path, 1.0 / _MOST_PATHS_PER_PHOTON)))
 
     def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:

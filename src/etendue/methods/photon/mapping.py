@@ -107,8 +107,8 @@ class PhotonMapping(ImageMethod):
 
     @abstractmethod
     def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
-        """(reflected radiance at a vertex by density estimation, one value or with ``components`` that of each of
-        ``film.REFLECTED``; number of photons found)."""
+        """(reflected radiance at a vertex by density estimation, one value, or with ``components`` one for each
+        of ``film.REFLECTED``; number of photons found)."""
 
     def finish(self, found: mi.UInt32) -> None:
         """Called after a pass with the number of photons that each path found at its first gather point."""
@@ -162,7 +162,7 @@ class PhotonMapping(ImageMethod):
         next_event = self.settings.direct == "next_event"
 
         # ---- Emission: weight 1 after specular surfaces only, MIS weight one edge after a smooth surface, 0 later,
-        # because that light is in the photons
+        # because the photons contain that light
         hit = walker.emission(s, vertex)
         shared = weights.hit(s.pdf, hit.direct_pdf) if next_event else mi.Float(0.0)
         weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)

@@ -47,7 +47,7 @@ class PhotonTracer:
     def __init__(self, method: ImageMethod, seed: int) -> None:
         self._method = method
         pilot = self._trace("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
-        #: Photons of a light path in the pilot; does not change, also not in a resumed run.
+        #: Photons of a light path in the pilot; does not change, even in a resumed run.
         self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
         self.room = photon_room(method.problem)
         self.room.per_path = self.photons_per_path
@@ -94,7 +94,7 @@ def reflected_by(
 
 
 def no_light(by_kind: bool) -> list[mi.Color3f]:
-    """Sums for :func:`add_by_kind`: of all light, or with ``by_kind`` of each of ``film.REFLECTED``."""
+    """Zero sums for :func:`add_by_kind`: one of all light, or with ``by_kind`` one for each of ``film.REFLECTED``."""
     return [mi.Color3f(0.0) for _ in (REFLECTED if by_kind else "1")]
 
 

@@ -38,7 +38,7 @@ from .photons import PhotonGrid, PhotonShot, no_light
 
 #: Least first radius over the largest, squared.
 _LEAST_SHARE = 1e-6
-#: Least number of gather points of ``ppm`` in a pixel: the error of an edge in the pixel does not decrease later.
+#: Least number of gather points of ``ppm`` in a pixel: further passes do not decrease the error at an edge.
 _LEAST_POINTS = 4
 
 

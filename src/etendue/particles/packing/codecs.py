@@ -4,10 +4,10 @@
     rows as they are, in the order of their paths.
 ``exact``
     rows sorted by surface and by Morton code on it; each column as differences of neighbours or as it is, in planes of
-    bytes. Nothing is lost but the order.
+    bytes. Only the order is lost.
 ``packed``
     the same order; a position is its Morton code on its primitive, as a gap in Rice code [Rice 1971]; a direction has
-    24 bits on the octahedron [Meyer 2010]; the distinct powers of a chunk are numbered, or, if they are many, rounded
+    24 bits on the octahedron [Meyer 2010]; the distinct powers of a chunk are numbered, or, if there are many, rounded
     at random to mantissas with a shared exponent, so that sums stay right on average.
 ``packed-no-paths``
     the same without path numbers, which come back as 0.
@@ -42,7 +42,7 @@ CHUNK = 1 << 16
 
 @dataclass(frozen=True)
 class Codec:
-    """A layout and the coder of its strips, as ``packed`` or ``exact+lzma``."""
+    """A layout and the coder of its strips, such as ``packed`` or ``exact+lzma``."""
 
     layout: str = "packed"
     coder: str = "fast"
@@ -64,7 +64,7 @@ class Codec:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether something is lost, within bounds."""
+        """Whether fields are rounded, within bounds."""
         return self.layout.startswith("packed")
 
 
@@ -83,7 +83,7 @@ def encode(rows: Rows, codec: Codec, grid: Grid) -> list[Callable[[], Chunk]]:
     ):
         raise ParticleError("particles name a shape or a triangle that the scene does not have")
     loops.sorted_by(keys, order)
-    # Chunks have positions by frames or without; primitives with frames come first.
+    # A chunk has positions either by frames or without; primitives with frames come first.
     border = int(np.searchsorted(keys, np.uint64(len(surfaces.frames)) << np.uint64(32)))
     cuts = [*range(0, border, CHUNK), *range(border, len(rows), CHUNK), len(rows)]
     parts = [slice(a, b) for a, b in pairwise(cuts)]

@@ -1,4 +1,4 @@
-"""Coders of strips: bytes to fewer bytes. Those of other libraries are imported at first use."""
+"""Coders of strips: lossless compression of bytes. Optional libraries are imported at first use."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from etendue.core import library, suggest
 from ..errors import ParticleError
 from ..particles import RAW_BYTES
 
-#: Share of eight bits from which on the bytes of a strip are not worth coding.
+#: The coder ``fast`` leaves strips as they are whose entropy is above this share of eight bits a byte.
 _WORTH = 0.85
-#: Shortest strip of which only every so-and-so-many-th byte is looked at.
+#: For strips of at least ``_LONG`` bytes the entropy is that of every ``_EVERY``-th byte.
 _LONG, _EVERY = 1 << 14, 4
 
 
@@ -63,7 +63,7 @@ def of_run_lengths(data: bytes, length: int) -> bytes:
 
 def _zstandard() -> Coder:
     module = library("zstandard", "the coder 'zstd'", "particles")
-    # An object of this library may not be used by several threads.
+    # Objects of this library must not be shared by threads.
     return Coder(
         "",
         lambda data: module.ZstdCompressor(level=3).compress(data),
@@ -84,7 +84,7 @@ def _blosc() -> Coder:
     module = library("blosc2", "the coder 'blosc2'", "particles")
 
     def encode(data: bytes) -> bytes:
-        # Rows are shuffled by their bytes; other strips are planes already.
+        # The bytes of rows are shuffled to planes; other strips are planes already.
         size = RAW_BYTES if len(data) % RAW_BYTES == 0 else 1
         packed: bytes = module.compress(data, size, 5, module.Filter.SHUFFLE, module.Codec.ZSTD)
         return packed
@@ -104,7 +104,7 @@ CODERS: dict[str, Coder] = {
     ),
     "rle": Coder("runs as count and value", run_lengths, of_run_lengths),
 }
-#: Coders of libraries that are not required.
+#: Coders of optional libraries.
 _LATER: dict[str, tuple[str, Callable[[], Coder]]] = {
     "zstd": ("Zstandard, level 3 (library zstandard)", _zstandard),
     "lz4": ("LZ4 (library lz4)", _lz4),
@@ -123,14 +123,14 @@ def coder(name: str) -> Coder:
 
 
 def coder_names() -> dict[str, str]:
-    """All coders and what they are."""
+    """Names and descriptions of all coders."""
     return {name: known.about for name, known in CODERS.items() if known.about} | {
         name: about for name, (about, _) in _LATER.items()
     }
 
 
 def coded(data: bytes | NDArray[np.uint8], name: str) -> tuple[str, bytes]:
-    """(coder that was used, code) of a strip: ``none`` where ``name`` does not make it shorter."""
+    """(coder that was used, code) of a strip; the coder is ``none`` if ``name`` does not make the strip shorter."""
     array = np.frombuffer(data, np.uint8)
     plain = array.tobytes()
     if name == "none" or not plain or (name == "fast" and _entropy(array) > _WORTH * 8):
@@ -140,7 +140,7 @@ def coded(data: bytes | NDArray[np.uint8], name: str) -> tuple[str, bytes]:
 
 
 def _entropy(array: NDArray[np.uint8]) -> float:
-    """Bits of a byte, from the frequencies of values."""
+    """Entropy in bits a byte, from the frequencies of values."""
     from . import kernels
 
     counts = np.empty(256, np.int64)

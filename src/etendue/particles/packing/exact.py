@@ -25,7 +25,7 @@ def decode_raw(head: dict[str, Any], strips: Strips, grid: Grid) -> Rows:
 
 
 def encode_exact(rows: Rows, order: NDArray[np.uint32], coder_name: str) -> Chunk:
-    """The rows in ``order``, each column in planes of bytes, as differences of neighbours where these are smaller."""
+    """The rows in ``order``, each column in planes of bytes, as differences of neighbours if these are smaller."""
     part, packing, chosen = np.empty((len(order), WORDS), np.uint32), Packing(coder_name), []
     kernels().gathered(rows, order, part)
     for column in range(WORDS):

@@ -25,7 +25,8 @@ DIRECTION_BITS, POWER_BITS = 12, 10
 DIRECTION_LEVELS = _LARGEST = (1 << DIRECTION_BITS) - 1
 #: Largest mantissa of a channel.
 POWER_LEVELS = (1 << POWER_BITS) - 1
-#: Lowest bits of a channel in which powers may differ that count as one: the rounding of products in another order.
+#: Powers that differ only in this number of lowest bits of a channel count as equal: rounding depends on the order of
+#: products.
 _DUST = np.uint32(4)
 _HASH, _MIX_1, _MIX_2 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
@@ -56,7 +57,7 @@ def _octahedral(x: float, y: float, z: float) -> int:
 
 @njit(nogil=True, cache=True)
 def _mixed(x: np.uint64) -> np.uint64:
-    """64 bits that look random."""
+    """Hash of 64 bits."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(_MIX_1)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(_MIX_2)
     return x ^ (x >> np.uint64(31))
@@ -64,14 +65,14 @@ def _mixed(x: np.uint64) -> np.uint64:
 
 @njit(nogil=True, cache=True)
 def _share(random: np.uint64, part: int) -> float:
-    """One of three numbers in (0, 1)."""
+    """One of three numbers in (0, 1) from the bits of ``random``."""
     return (np.float64((random >> np.uint64(21 * part)) & np.uint64((1 << 21) - 1)) + 0.5) * 2.0**-21
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _flux_code(red: float, green: float, blue: float, random: np.uint64) -> int:
-    """Exponent and three mantissas of a flux, each rounded up with the probability of its fraction, so that sums are
-    right on average; -1 if it has none."""
+    """Exponent and three mantissas of a flux as one code; -1 if it has none. A mantissa is rounded up with the
+    probability of its fraction, so that sums are right on average."""
     largest = max(red, green, blue)
     if not (red >= 0.0 and green >= 0.0 and blue >= 0.0 and largest < np.inf):
         return -1
@@ -90,8 +91,8 @@ def _flux_code(red: float, green: float, blue: float, random: np.uint64) -> int:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def power_codes(rows: Rows, floats: Floats, keys: Codes, codes: Codes) -> bool:
-    """Write the codes of powers; whether all have one. They are rounded by a hash of place and path, so that the same
-    particles have the same codes."""
+    """Write the codes of powers; returns whether all powers have one. Rounding uses a hash of place, path and bounce,
+    so that the same particles have the same codes."""
     for r in range(len(rows)):
         own = (np.uint64(rows[r, PATH]) << np.uint64(32)) | np.uint64(rows[r, BOUNCE])
         random = _mixed(_mixed(own + np.uint64(_HASH)) + keys[r])
@@ -106,7 +107,7 @@ def power_codes(rows: Rows, floats: Floats, keys: Codes, codes: Codes) -> bool:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def gathered(rows: Rows, order: Words, part: Rows) -> None:
-    """Copy the rows in ``order``. Done before they are packed, the waits for memory overlap."""
+    """Copy the rows in ``order``: a separate loop before packing, so that the waits for memory overlap."""
     for i in range(len(order)):
         r = order[i]
         for c in range(rows.shape[1]):
@@ -151,8 +152,8 @@ def place(
     numbers: Index, counts: Index, codes: Words, shapes: Words, primitives: Words, bits: Bytes, shape_bits: Bytes,
     frames: Floats, with_frames: bool, rows: Rows, floats: Floats,
 ) -> None:  # fmt: skip
-    """Write shape, primitive, uv and, with frames, position of the rows of runs; ``shapes``, ``primitives``: of each
-    run."""
+    """Write shape, primitive, uv and, with frames, position of the rows of runs; ``shapes`` and ``primitives`` have one
+    entry for each run."""
     i = 0
     for run in range(len(counts)):
         number = numbers[run]
@@ -171,7 +172,7 @@ def place(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def unpack_directions(low: Bytes, first: Bytes, second: Bytes, floats: Floats) -> None:
-    """Write the directions of codes in three planes."""
+    """Write the directions of the codes in three planes."""
     for i in range(len(low)):
         a = (np.int64(first[i]) << 4) | (np.int64(low[i]) & 15)
         b = (np.int64(second[i]) << 4) | (np.int64(low[i]) >> 4)
@@ -210,9 +211,9 @@ def unpack_powers(codes: Codes, floats: Floats) -> None:
 
 @njit(nogil=True, cache=True)
 def palette(rows: Rows, index: Words, table: Words, slots: NDArray[np.int32]) -> int:
-    """Number the distinct powers of rows in the order of their first occurrence: the number of each to ``index``, the
-    first ones as they are to ``table`` (m, 3). Powers that differ by less than 2e-6 of each channel may have one
-    number. Returns how many there are; -1 if ``table`` is too short. ``slots``: work space, a power of two."""
+    """Number the distinct powers of rows in the order of their first occurrence: writes the number of each row to
+    ``index``, the first occurrences to ``table`` (m, 3). Powers that differ by less than 2e-6 of each channel may share
+    a number. Returns the count of numbers; -1 if ``table`` is too short. ``slots``: work space, a power of two."""
     slots[:] = -1
     mask, found = np.uint64(len(slots) - 1), 0
     for i in range(len(rows)):

@@ -20,7 +20,8 @@ Index = NDArray[np.int64]
 
 #: Columns of :data:`Rows`.
 SHAPE, PRIMITIVE, UV = 9, 10, 11
-#: Gaps share the parameter of their Rice code in blocks of so many; quotients from ``_ESCAPE`` on are written plain.
+#: Blocks of ``BLOCK`` gaps share the parameter of the Rice code; gaps with quotients from ``_ESCAPE`` on are written
+#: plainly.
 BLOCK, _ESCAPE = 64, 20
 _DIGIT = 8
 
@@ -46,8 +47,8 @@ def _quantised(x: float, bits: int) -> int:
 def keys_of(
     rows: Rows, floats: Floats, first: Index, primitives: Index, bits: Bytes, shape_bits: Bytes, keys: Codes
 ) -> bool:
-    """Write the key of each row; whether all shapes and primitives exist. ``bits``: of the first primitives;
-    ``shape_bits``: of the others, by shape."""
+    """Write the key of each row; returns whether all shapes and primitives exist. ``bits``: of the primitives with
+    frames, which come first; ``shape_bits``: of the other primitives, by shape."""
     shapes = len(first)
     for i in range(len(rows)):
         shape, primitive = np.int64(rows[i, SHAPE]), np.int64(rows[i, PRIMITIVE])
@@ -63,7 +64,7 @@ def keys_of(
 
 @njit(nogil=True, cache=True)
 def sorted_by(keys: Codes, order: Words) -> None:
-    """Sort ``keys``, and write the stable order; a radix sort that skips digits which all keys share."""
+    """Sort ``keys``, and write the stable order; a radix sort that skips the digits that all keys share."""
     n = len(keys)
     digits, size = -(-64 // _DIGIT), 1 << _DIGIT
     mask = np.uint64(size - 1)
@@ -117,7 +118,7 @@ def runs_of(keys: Codes, numbers: Index, counts: Index) -> int:
 
 @njit(nogil=True, cache=True)
 def gaps_of(keys: Codes, counts: Index, gaps: Codes) -> None:
-    """Differences of the codes within each run, the first from 0."""
+    """Write the differences of neighbouring codes within each run; the first code of a run is its own gap."""
     i = 0
     for run in range(len(counts)):
         before = np.uint64(0)
@@ -130,7 +131,7 @@ def gaps_of(keys: Codes, counts: Index, gaps: Codes) -> None:
 
 @njit(nogil=True, cache=True)
 def rice(gaps: Codes, out: Bytes) -> int:
-    """Rice codes of numbers below 2^32; a byte before each block is its parameter. Returns the number of bytes."""
+    """Write Rice codes of numbers below 2^32; the byte before a block is its parameter. Returns the number of bytes."""
     n, place = len(gaps), 0
     acc, held = np.uint64(0), 0
     one = np.uint64(1)
@@ -217,7 +218,7 @@ def unrice(data: Bytes, gaps: Codes) -> bool:
 
 @njit(nogil=True, cache=True)
 def merged_gaps(counts: Index, gaps: Codes, codes: Words) -> bool:
-    """Inverse of :func:`gaps_of`; ``False`` if the runs have another number of particles."""
+    """Inverse of :func:`gaps_of`; ``False`` if the runs and the gaps have different numbers of particles."""
     i = 0
     for run in range(len(counts)):
         code = np.uint64(0)

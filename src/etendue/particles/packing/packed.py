@@ -13,7 +13,7 @@ from .strips import Chunk, Packing, Strips, differences, kernels, ordering, summ
 
 #: Slots of the table in which distinct powers are found, more than a chunk has particles.
 _SLOTS = 1 << 17
-#: Distinct powers are numbered if there are at most so many, relative to the particles; with more, codes are shorter.
+#: Distinct powers are numbered if there are at most this many per particle; with more, codes are shorter.
 _REPEATED = 0.25
 
 
@@ -113,7 +113,7 @@ def _add_positions(
     packing: Packing, position: NDArray[np.uint32], shapes: NDArray[np.int64], grid: Grid
 ) -> tuple[str, list[int]]:
     """Add positions that do not follow from frames: as levels in the boxes of their shapes, or, if they lie outside,
-    as they are. Returns the name of the way, and for each coordinate whether it is a difference to its neighbour."""
+    unchanged. Returns the name of the representation, and for each coordinate whether differences are stored."""
     with np.errstate(invalid="ignore", over="ignore"):
         levels = np.rint((position.view(np.float32) - grid.low[shapes]) / grid.coordinate_steps[shapes, None])
     if not ((levels >= 0) & (levels <= grid.MOST)).all():
@@ -128,8 +128,8 @@ def _add_positions(
 
 
 def _add_powers(packing: Packing, part: Rows, keys: NDArray[np.uint64]) -> str:
-    """Add powers: as numbers of their distinct values; if these are many, as codes; and as they are where
-    there is no code. Returns the name of the way."""
+    """Add powers: as numbers of their distinct values; if there are many, as codes; unchanged if a power has no code.
+    Returns the name of the representation."""
     n = len(part)
     index, table = np.empty(n, np.uint32), np.empty((int(_REPEATED * n) + 1, 3), np.uint32)
     found = kernels().palette(part, index, table, np.empty(_SLOTS, np.int32))

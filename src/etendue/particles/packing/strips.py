@@ -1,4 +1,4 @@
-"""Strips: one attribute of the particles of a chunk, each coded by itself."""
+"""Strips: the values of one attribute of the particles of a chunk, each coded separately."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def kernels() -> ModuleType:
 
 
 def ordering() -> ModuleType:
-    """The loops that sort, as :func:`kernels`."""
+    """The loops that sort particles. Raises as :func:`kernels`."""
     library("numba", "packing particles", "particles")
     from . import ordering as loops
 
@@ -40,7 +40,7 @@ class Chunk:
 
 
 class Packing:
-    """A chunk in the making."""
+    """Collects the strips of a chunk."""
 
     def __init__(self, coder_name: str) -> None:
         self._coder = coder_name
@@ -89,7 +89,7 @@ class Strips:
         return np.frombuffer(next(self._all), np.uint8)
 
     def planes(self, count: int, kind: type[np.uint32] | type[np.uint64] = np.uint32) -> NDArray[Any]:
-        """The next numbers, of :meth:`Packing.add_planes`."""
+        """The next numbers, as added by :meth:`Packing.add_planes`."""
         values = np.zeros(count, kind)
         parts = values.view(np.uint8).reshape(count, values.itemsize)
         for plane in range(self.next()[0]):
@@ -98,7 +98,7 @@ class Strips:
 
 
 def differences(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Steps between neighbours modulo 2^32; small ones of either sign are small numbers."""
+    """Differences of neighbours modulo 2^32, coded so that small differences of either sign are small numbers."""
     steps = np.diff(values, prepend=np.uint32(0)).view(np.int32)
     return ((steps << 1) ^ (steps >> 31)).view(np.uint32)
 

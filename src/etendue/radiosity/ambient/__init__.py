@@ -1,1 +1,1 @@
-"""Ambient terms: solutions at once, the rest of solutions that stop early, and scenes in parts."""
+"""Ambient terms: direct solutions, the remaining light of solutions that stop early, and scenes in parts."""

@@ -1,4 +1,4 @@
-"""Solutions by ambient terms: at once, and what others leave."""
+"""Ambient terms as solutions, and for the light that other solutions leave unshot."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def ambient_solution(
     """Radiosities without lines: all light that patches emit, spread by an ambient term [Castro 2002, ch. 6].
 
     scene: the patches as a tree of sub-scenes (:func:`sub_scenes`), between which light passes through walls of boxes.
-    shot: light that rays have sent (:func:`first_shot`): shadows of lamps are then right, and what is reflected is
+    shot: light that rays have sent (:func:`first_shot`): shadows of lamps are then right, and only reflected light is
     ambient.
 
-    Ambient irradiance depends on the normals of patches only (and on their sub-scene): there are no shadows, and no
-    light is lost. Raises :class:`RadiosityError` if no patch emits, if there is a sky (what sees it is for lines to
-    tell), or if a shot belongs to other patches.
+    Ambient irradiance depends only on the normals of patches (and on their sub-scene): there are no shadows, and no
+    light is lost. Raises :class:`RadiosityError` if no patch emits, if there is a sky (only lines can find which
+    patches see it), or if a shot belongs to other patches.
     """
     if patches.sky.any():
         raise RadiosityError("an ambient term does not know what sees the sky: cast lines, or leave the sky out")
@@ -47,7 +47,7 @@ def ambient_solution(
 
 
 def finished(patches: Patches, result: Multipath, term: AmbientTerm = "fuzzy", lost: Array | None = None) -> Multipath:
-    """What multipath has left unshot, spread by an ambient term. ``lost``: see :func:`spread`."""
+    """The result of multipath with its unshot power spread by an ambient term. ``lost``: see :func:`spread`."""
     irradiance = spread(patches, result.unshot, term, lost)
     absorbed = (patches.areas[:, None] * (1 - patches.reflectance) * irradiance).sum(axis=0)
     return replace(

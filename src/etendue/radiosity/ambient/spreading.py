@@ -7,8 +7,8 @@ from etendue.surfaces import AmbientTerm, Patches, class_light, class_weights
 
 
 def spread(patches: Patches, power: Array, term: AmbientTerm, lost: Array | None = None) -> Array:
-    """(n, c) irradiance from ``power`` (n, c) that leaves patches. ``lost``: (n,) the share of the light of each that
-    meets no other patch, such as :attr:`Segments.sky`."""
+    """(n, c) irradiance from ``power`` (n, c) that leaves patches. ``lost``: (n,) the share of the light of each patch
+    that meets no other patch, such as :attr:`Segments.sky`."""
     weights = class_weights(term, patches.normals)
     irradiance: Array = weights @ class_light(weights, patches.areas, patches.reflectance, power, lost=lost)
     return irradiance

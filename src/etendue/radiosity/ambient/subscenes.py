@@ -1,4 +1,4 @@
-"""The ambient term of a scene in parts: rooms that get only the light that comes in."""
+"""The ambient term of a scene in parts, such as rooms: each part gets only the light that enters it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ..errors import RadiosityError
 from ..hierarchical_multipath.parts import Part, Tree
 
 Index = NDArray[np.int64]
-#: Classes of the opposite normals.
+#: Class of the opposite normal of each class.
 _OPPOSITE = np.array([1, 0, 3, 2, 5, 4])
 
 
 @dataclass(frozen=True)
 class SubScene:
-    """Part of a scene: ``patches`` of its own, ``parts`` inside it, and the box from ``low`` to ``high`` whose sides
-    light passes. The box of a whole scene is not used."""
+    """Part of a scene: its own ``patches``, ``parts`` inside it, and the box from ``low`` to ``high``; light passes its
+    sides. The box of a whole scene is not used."""
 
     patches: Index
     parts: tuple[SubScene, ...] = ()
@@ -30,13 +30,13 @@ class SubScene:
     high: Array = field(default_factory=lambda: np.zeros(3))
 
     def walls(self, classes: int) -> Array:
-        """(classes,) areas of the sides, by the classes of their normals, which are the same inward and outward."""
+        """(classes,) areas of the sides, by the class of their normal: the same for inward and outward normals."""
         x, y, z = self.high - self.low
         sides = np.repeat([y * z, z * x, x * y], 2)
         return sides if classes > 1 else sides.sum(keepdims=True)
 
     def all(self) -> Iterator[SubScene]:
-        """This part, and those inside it."""
+        """This part and all parts inside it."""
         yield self
         for part in self.parts:
             yield from part.all()
@@ -44,8 +44,8 @@ class SubScene:
 
 @dataclass(frozen=True)
 class HierarchicalAmbient:
-    """``irradiance``: (n, c). ``left``: (c,) power that is still at the walls between parts. ``iterations``: their
-    number."""
+    """``irradiance``: (n, c). ``left``: (c,) power that is still at the walls between parts. ``iterations``: number of
+    iterations."""
 
     irradiance: Array
     left: Array
@@ -53,8 +53,8 @@ class HierarchicalAmbient:
 
 
 def sub_scenes(patches: Patches, parts: ArrayLike) -> SubScene:
-    """A scene in parts of one level, each with the box of its patches: ``parts`` (n,) has the number of the part of
-    each patch, a negative one where it is in none. Raises :class:`RadiosityError` for other than n whole numbers."""
+    """A scene in parts of one level, each with the box of its patches. ``parts`` (n,): index of the part of each patch,
+    negative for none. Raises :class:`RadiosityError` for other than n whole numbers."""
     number = np.asarray(parts)
     if number.shape != (len(patches),) or number.dtype.kind not in "iu":
         raise RadiosityError(
@@ -70,8 +70,8 @@ def sub_scenes(patches: Patches, parts: ArrayLike) -> SubScene:
 
 
 def sub_scenes_of(root: Part, *, is_joined: bool = False) -> SubScene:
-    """A scene of parts as sub-scenes, each with the box along the axes around that of its part. Patches are those that
-    parts were made of, or ``is_joined`` those of ``root.joined()``."""
+    """A scene of parts as sub-scenes, each with the axis-aligned box around the box of its part. Patches are those of
+    the mesh that the parts were made of, or with ``is_joined`` those of ``root.joined()``."""
     tree = Tree(root)
     numbers = tree.numbers_in_joined if is_joined else np.concatenate([tree.parts[k].numbers for k in tree.part])
 
@@ -99,11 +99,11 @@ def hierarchical_ambient(
     """Irradiance from ``power`` (n, c) that leaves patches, spread by an ambient term within each part of a scene
     [Castro 2002, sec. 6.4.4, figs. 6.2 and 6.3].
 
-    The sides of boxes take part as black surfaces. What meets them from outside is sent inside when the turn comes to
-    the part, and what meets them from inside is sent outside in the next iteration. This ends when not more than a
-    share of ``tolerance`` of the power is on its way, or after so many ``iterations`` (in the thesis 3 or 4). The
-    solid
-    walls of a room are not known to keep light in: half of what is sent inside a box of six solid sides leaves it.
+    The sides of boxes take part as black surfaces. Light that meets them from outside is sent inside in the same
+    iteration, when the part is processed; light that meets them from inside is sent outside in the next iteration. This
+    ends when at most the share ``tolerance`` of the power is at walls, or after ``iterations`` iterations (in the
+    thesis 3 or 4). The method does not know that solid walls of a room keep light in: half of the light that is sent
+    inside a box of six solid sides leaves it.
 
     Raises :class:`RadiosityError` if a patch is in no part or in several.
     """
@@ -120,7 +120,7 @@ def hierarchical_ambient(
 
 
 class _Part:
-    """A part with the light at its walls, by the class of the normal on the side from which the light leaves."""
+    """A part with the light at its walls, by the class of the normal of the side from which the light leaves."""
 
     def __init__(self, patches: Patches, scene: SubScene, power: Array, term: AmbientTerm, is_root: bool) -> None:
         own = scene.patches
@@ -138,7 +138,7 @@ class _Part:
         self.inside, self.outside, self.light = np.zeros((3, *self._emitted.shape))
 
     def spread(self) -> None:
-        """Light at the walls, and that of the part's own patches, once: to patches and walls."""
+        """Send the light at the walls and of the part's own patches once, to patches and walls."""
         source = self._emitted + self.inside + sum(part.outside for part in self.parts)
         light = incoming(source * self._inverse, self._rho, self._factors)
         self._emitted, self.inside = np.zeros((2, *light.shape))
@@ -153,7 +153,7 @@ class _Part:
         return sum((part.on_the_way() for part in self.parts), start=self.outside.sum(axis=0))
 
     def collect(self, irradiance: Array) -> None:
-        """Write what has met patches into an array of all."""
+        """Write the irradiance of the part's patches into an array for all patches."""
         irradiance[self.own] = self.weights @ self.light
         for part in self.parts:
             part.collect(irradiance)

@@ -5,8 +5,8 @@
 The integral along one edge is in closed form; that along the other, by Gauss-Legendre quadrature. If edges are close to
 each other, the outer one is divided where the inner integral is not smooth, with denser points at these divisions.
 
-Lengths are in units of the scene. A *side* is a face seen from where its corners run counterclockwise, (4, 3), a
-triangle with its last corner twice; its plane (4,) has ``n . x - c``.
+Lengths are in radii of the scene. A *side* is a face with its corners counterclockwise, (4, 3); a triangle repeats its
+last corner. Its plane is (n, c), (4,); points in front of it have ``n . x - c > 0``.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 
-#: A corner this close to a plane counts as in it: the error of single precision.
+#: A corner this close to a plane counts as lying in it, because of the error of single precision.
 _IN_PLANE = 1e-7
 #: Faces must extend this far into the space between two others to occlude them.
 _BETWEEN = 1e-6
 
-#: Quadrature points on [0, 1] and weights: for distant and for closer edges, and with points concentrated at both ends.
+#: Quadrature points on [0, 1] and weights: three rules for distant to closer edges, and one with points concentrated at
+#: both ends.
 _COUNTS = np.array([3, 5, 10, 24])
 _POINTS, _WEIGHTS = np.zeros((4, 24)), np.zeros((4, 24))
 for _k, _n in enumerate(_COUNTS):
@@ -40,7 +41,7 @@ _POINTS[3] = _POINTS[3] ** 3 * (10 - 15 * _POINTS[3] + 6 * _POINTS[3] ** 2)
 def exchange_rows(
     sides: Array, planes: Array, patch: NDArray[np.int64], blockers: Array, first: int, last: int, exchange: Array
 ) -> tuple[int, int, int]:
-    """Add A_i F_ij of sides ``first`` to ``last`` and all later ones to ``exchange[i, j]``.
+    """Add A_i F_ij between sides ``first`` to ``last - 1`` and all later sides to ``exchange[i, j]``.
 
     sides (s, 4, 3) in ascending order of their patch (s,), backs without a patch last; blockers (b, 4, 3): faces that
     may occlude others. Returns the first two sides with an occluder between them, and the occluder; -1 if there is
@@ -71,7 +72,7 @@ def overlapping(sides: Array, planes: Array) -> tuple[int, int]:
             buffers[0, :4] = q
             for i in range(4):
                 if _through(p[i], p[(i + 1) % 4], p[i] + planes[a, :3], edge):
-                    edge *= -1.0  # across an edge and the normal is outward
+                    edge *= -1.0  # the cross product of edge and normal points outward
                     edge[3] += _BETWEEN
                     count = _cut(buffers[0], count, edge, buffers[1])
                     buffers[0, :count] = buffers[1, :count]
@@ -84,7 +85,7 @@ def overlapping(sides: Array, planes: Array) -> tuple[int, int]:
 def _exchange(
     p: Array, of_p: Array, q: Array, of_q: Array, blockers: Array, polygons: Array, buffers: Array, plane: Array
 ) -> tuple[float, int]:
-    """A F of two sides, and the face that occludes them or -1."""
+    """A F of two sides, and the index of the face that occludes them, or -1."""
     m, n = _in_front(p, of_q, polygons[0]), 0
     if m > 2:
         n = _in_front(q, of_p, polygons[1])
@@ -103,7 +104,7 @@ def _exchange(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _edges(a: Array, a_end: Array, b: Array, b_end: Array) -> float:
-    """Integral of ln r over two edges, times the cosine of the angle between them."""
+    """Double integral of ln r over two edges, times the cosine of the angle between the edges."""
     ux, uy, uz = a_end[0] - a[0], a_end[1] - a[1], a_end[2] - a[2]
     vx, vy, vz = b_end[0] - b[0], b_end[1] - b[1], b_end[2] - b[2]
     length, inner = math.sqrt(ux * ux + uy * uy + uz * uz), math.sqrt(vx * vx + vy * vy + vz * vz)
@@ -122,7 +123,7 @@ def _edges(a: Array, a_end: Array, b: Array, b_end: Array) -> float:
     if distance > 0.5 * length:
         rule = 0 if distance > 8 * length else 1 if distance > 2 * length else 2
         return cosine * _along(0.0, length, rule, wx, wy, wz, ux, uy, uz, vx, vy, vz, inner)
-    # Not smooth opposite the ends of the inner edge, and where the lines are closest to each other.
+    # The inner integral is not smooth opposite the ends of the inner edge, and where the two lines are closest.
     first, second, third = -wu, -wu + inner * cosine, 0.0
     if cosine * cosine < 1 - 1e-12:
         third = (cosine * wv - wu) / (1 - cosine * cosine)
@@ -153,7 +154,8 @@ def _along(
     vz: float,
     inner: float,
 ) -> Any:
-    """Integral over ``w + s u``, s from ``start`` to ``end``, of that of ln r over ``t v``, t to ``inner``."""
+    """Integral over ``w + s u``, s from ``start`` to ``end``, of the integral of ln r over ``t v``, t from 0 to
+    ``inner``."""
     total = 0.0
     for k in range(_COUNTS[rule]):
         s = start + (end - start) * _POINTS[rule, k]
@@ -192,7 +194,7 @@ def _distance(
     wv: float,
     cosine: float,
 ) -> Any:
-    """Between the points ``w + s u`` and ``t v``, s up to ``length`` and t up to ``inner``."""
+    """Distance between the edges ``w + s u``, s from 0 to ``length``, and ``t v``, t from 0 to ``inner``."""
     s, across = 0.0, 1 - cosine * cosine
     if across > 1e-12:
         s = min(max((cosine * wv - wu) / across, 0.0), length)
@@ -206,7 +208,7 @@ def _distance(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _in_front(p: Array, plane: Array, result: Array) -> int:
-    """Write to ``result`` the part of a polygon that is in front of a plane; its number of corners."""
+    """Write to ``result`` the part of a polygon that is in front of a plane, and return its number of corners."""
     if _farthest(p, plane) <= _IN_PLANE:
         return 0
     if _nearest(p, plane) >= -_IN_PLANE:
@@ -217,8 +219,8 @@ def _in_front(p: Array, plane: Array, result: Array) -> int:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _cut(p: Array, count: int, plane: Array, result: Array) -> int:
-    """Write to ``result`` the part of a convex polygon of ``count`` corners where ``n . x > c``; its number of
-    corners."""
+    """Write to ``result`` the part of a convex polygon of ``count`` corners where ``n . x > c``, and return its number
+    of corners."""
     made = 0
     for i in range(count):
         here, there = p[i], p[(i + 1) % count]
@@ -255,7 +257,7 @@ def _farthest(p: Array, plane: Array) -> float:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _apart(p: Array, q: Array, margin: float) -> bool:
-    """Whether the bounding boxes of two polygons overlap by less than ``margin``."""
+    """Whether the bounding boxes of two polygons are more than ``margin`` apart."""
     for c in range(3):
         p_low = p_high = p[0, c]
         q_low = q_high = q[0, c]
@@ -272,8 +274,8 @@ def _apart(p: Array, q: Array, margin: float) -> bool:
 def _stands_between(face: Array, p: Array, of_p: Array, q: Array, of_q: Array, buffers: Array, plane: Array) -> bool:
     """Whether a face intersects the convex hull of two polygons, each of which is in front of the other's plane.
 
-    It is clipped by every plane that bounds the hull: the planes of both, and planes through an edge of one and a
-    corner of the other with both polygons on one side.
+    The face is clipped by every plane that bounds the hull: the planes of both polygons, and planes through an edge of
+    one and a corner of the other with both polygons on one side.
     """
     for c in range(3):
         low = high = p[0, c]
@@ -316,7 +318,7 @@ def _stands_between(face: Array, p: Array, of_p: Array, q: Array, of_q: Array, b
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _through(a: Array, b: Array, c: Array, plane: Array) -> bool:
-    """Write the plane through three points; false if they are collinear."""
+    """Write the plane through three points to ``plane``; return false if they are collinear."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

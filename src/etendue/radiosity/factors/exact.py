@@ -20,16 +20,17 @@ Index = NDArray[np.int64]
 _BEHIND = 1e-6
 #: Bytes for each pair of patches.
 _BYTES = 48
-#: Tolerance of row sums of closed scenes; a larger deficit is the sky.
+#: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
 _CLOSED = 1e-6
 
 
 def exact_form_factors(patches: Patches) -> FormFactors:
     """Form factors by contour integrals [Sparrow 1963], with errors of about 1e-8 (1e-6 from meshes in single
     precision), for patches without occlusion: the walls of a convex room, plates side by side or facing each other, a
-    convex body on the floor. Time and memory grow with the square of their number.
+    convex body on the floor. Time and memory grow with the square of the number of patches.
 
-    Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the sky, or backs of faces.
+    Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of
+    backs of faces.
 
     Raises :class:`RadiosityError` if a face occludes two others or lies on another, and for more patches than fit into
     memory: use lines (:class:`ABuffer`) then. :class:`etendue.core.BackendError` without Numba.
@@ -76,8 +77,8 @@ def exact_form_factors(patches: Patches) -> FormFactors:
 
 
 def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
-    """Face and patch of every side in ascending order of patches, and whether it is a back. Backs without a patch come
-    last, as patch ``n``; backs that cannot be seen are left out."""
+    """Face and patch of every side in ascending order of patches, and whether the side is a back. Backs without a patch
+    come last, as patch ``n``; backs that cannot be seen are left out."""
     count, n = len(patches.faces), len(patches)
     back = np.where((patches.back < 0) & ~_hidden_backs(patches), n, patches.back)
     patch = np.concatenate([patches.front, back])
@@ -129,7 +130,7 @@ def _may_block(corners: Array, planes: Array) -> NDArray[np.bool_]:
 
 
 def _tasks(patch: Index) -> list[Index]:
-    """Ranges of sides, of whole patches and about equal work, more than there are threads."""
+    """Ranges of sides, each of whole patches and about equal work; more ranges than threads."""
     starts = np.flatnonzero(np.diff(patch, prepend=-1))
     remaining = len(patch) - starts
     number = (1 - (remaining / len(patch)) ** 2) * 16 * threads()

@@ -54,8 +54,8 @@ class FormFactors(InNotebooks):
         return np.asarray(self.matrix.sum(axis=1)).ravel() + self.sky
 
     def row_errors(self) -> Array:
-        """(n,) root of the summed squares of the standard errors of a row. That of a mean over the row, such as an
-        irradiance, is at most this times the largest value."""
+        """(n,) root of the summed squares of the standard errors of a row. The standard error of ``F values``, such as
+        an irradiance, is at most this times the largest value."""
         return np.sqrt(np.asarray((self.errors**2).sum(axis=1)).ravel())
 
     def reciprocity_error(self) -> float:
@@ -65,14 +65,14 @@ class FormFactors(InNotebooks):
         return float(abs(exchange - exchange.T).max() / largest) if largest else 0.0
 
     def normalised(self) -> FormFactors:
-        """With every row sum 1, for closed scenes: each row divided by its sum."""
+        """Form factors with every row sum 1, for closed scenes: each row is divided by its sum."""
         sums = self.row_sums()
         scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0)
         rows = _diagonal(scale)
         return replace(self, matrix=rows @ self.matrix, errors=rows @ self.errors, sky=self.sky * scale)
 
     def repaired(self) -> FormFactors:
-        """With every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
+        """Form factors with every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
 
         The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed with the smallest relative sum of squares, so that zeros
         remain zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which
@@ -95,16 +95,16 @@ class FormFactors(InNotebooks):
         return replace(self, matrix=changed.tocsr())
 
     def transposed(self) -> FormFactors:
-        """A_j F_ji / A_i in place of F_ij, the factors of the opposite direction. Radiosities that solve the system
-        with these are the powers per area that solve the system of powers (shooting) with F."""
+        """Form factors of the opposite direction: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system
+        with these factors are the powers per area that solve the system of powers (shooting) with F."""
         areas = _diagonal(self.areas)
         shot, errors = ((_diagonal(1 / self.areas) @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
         return replace(self, matrix=shot, errors=errors)
 
     @property
     def exchange_weights(self) -> Array | None:
-        """(n,) weights that make the exchange symmetric, areas or lines: weight_i F_ij = weight_j F_ji; ``None`` if
-        neither do."""
+        """(n,) weights, the areas or the lines, with weight_i F_ij = weight_j F_ji; ``None`` if neither make the
+        exchange symmetric."""
         for weights in (self.areas, self.lines.astype(np.float64)):
             exchange = _diagonal(weights) @ self.matrix
             if exchange.nnz == 0 or abs(exchange - exchange.T).max() <= 1e-9 * exchange.max():
@@ -117,9 +117,9 @@ class FormFactors(InNotebooks):
 
 def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors:
     """Form factors of segments, see :func:`estimate`; for at most about ten thousand patches: with more, most pairs
-    have a single segment, and the segments take less memory.
+    have a single segment, and the segments take less memory than the form factors.
 
-    Errors are those of independent lines. Raises :class:`RadiosityError` if they do not fit into memory.
+    Errors are those of independent lines. Raises :class:`RadiosityError` if the form factors do not fit into memory.
     """
     n, loops = len(segments.patches), compiled()
     need, free = 4 * len(segments) + 64 * min(2 * len(segments), n**2), free_memory()
@@ -146,7 +146,7 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     matrix.sort_indices()  # in the order of the counts
     errors = matrix.copy()
     found = counts.data
-    if segments.extra is not None:  # lines and rays together, before weighting
+    if segments.extra is not None:  # undo the weights: the number of lines and rays together
         row, column = counts.tocoo().coords
         found = found * (1 + segments.extra[row] + segments.extra[column])
     errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / found)
@@ -162,11 +162,11 @@ def estimate(
 
     ==============  =========================================  =====================================================
     ``F1``          ``r_ij / r_i``                             rows sum to 1 in a closed scene, to rounding
-    ``F2``          ``(A_j / A_i) r_ji / r_j``                 what the other patch says, by reciprocity
+    ``F2``          ``(A_j / A_i) r_ji / r_j``                 the estimate of the other patch, by reciprocity
     ``F3``          mean of both, weighted by ``r_i, r_j``
     ``F4``          mean of both, weighted by ``r_ij, r_ji``   the least error
     ``reciprocal``  ``r_ij / r_i``, ``r_i`` as expected        ``A_i F_ij = A_j F_ji`` to rounding
-    ``pooled``      ``2 r_ij / (r_i + r_j A_i / A_j)``         the same, by the lines of both patches as counted
+    ``pooled``      ``2 r_ij / (r_i + r_j A_i / A_j)``         the same, with the counted lines of both patches
     ==============  =========================================  =====================================================
     """
     if estimator not in ESTIMATORS:

@@ -15,7 +15,7 @@ def gebhart_factors(patches: Patches, factors: FormFactors, channel: int = 0) ->
     """G_ij (n, n), the share of the emission of patch i that patch j absorbs, over all reflections [Gebhart 1961].
 
     G = (1 - F rho)^-1 F epsilon. Rows sum to 1 in a closed scene, and with reciprocal form factors
-    epsilon_i A_i G_ij = epsilon_j A_j G_ji. For some thousand patches. Raises :class:`RadiosityError` if patches and
+    epsilon_i A_i G_ij = epsilon_j A_j G_ji. For a few thousand patches. Raises :class:`RadiosityError` if patches and
     form factors differ in number, and for an invalid channel.
     """
     if len(patches) != len(factors):

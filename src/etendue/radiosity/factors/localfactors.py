@@ -34,7 +34,8 @@ def local_form_factors(
     ========== ================================== ==================================================
 
     [Castro 2002, sec. 2.3.1]. Errors are those of independent rays. ``points`` of four dimensions, by default a
-    scrambled Sobol' sequence; each row takes the next ``samples`` of them. Raises :class:`RadiosityError`.
+    scrambled Sobol' sequence; each row takes the next ``samples`` of them. Raises :class:`RadiosityError` for another
+    estimator, rows that are no patches, and fewer than two samples.
     """
     n = len(scene.patches)
     laws = {"cosine": cosine_lanes, "angles": even_lanes}
@@ -52,7 +53,7 @@ def local_form_factors(
         row = np.repeat(chosen[start : start + at_once], samples)
         u = points.lanes(mi.UInt32, len(row), start * samples)
         places, ways = source.of(mi.UInt32(row.astype(np.uint32)), u[0], u[1]), laws[estimator](u[2], u[3])
-        # With uniform angles each ray has the weight cos sin pi.
+        # With uniform angles each ray has the weight pi cos theta sin theta.
         weights = dr.pi * ways.z * dr.sqrt(1 - ways.z**2) if estimator == "angles" else dr.full(mi.Float, 1, len(row))
         hits = scene.meets(places.origin, places.directions(ways))
         dr.eval(hits, weights)

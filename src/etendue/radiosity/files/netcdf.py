@@ -28,7 +28,8 @@ _PER_AREA, _SHARE, _METRES, _AREA = "W m-2", "1", "m", "m2"
 def write_form_factors(
     path: str | os.PathLike[str], factors: FormFactors, emissivity: NDArray[Any], metadata: Mapping[str, Any] | None
 ) -> None:
-    """The matrix by rows: entries ``row_start[i]`` to ``row_start[i + 1]`` are row ``i``, in columns ``column``."""
+    """Write the matrix by rows: row ``i`` has the entries from ``row_start[i]`` to ``row_start[i + 1] - 1``, in columns
+    ``column``."""
     matrix, errors = same_structure(factors)
     file = NetcdfFile("Form factors (view factors) between patches of surfaces", metadata)
     file.add("row_start", "row_boundary", matrix.indptr, "first entry of each row of the matrix, and their number")
@@ -58,10 +59,10 @@ def save_segments(
     """Write segments as netCDF (``.nc``), 8 bytes each before compression: for scenes with about as many form factors
     as segments.
 
-    ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order; a pair are two patches
-    that see each other, counted from 0, or the numbers of sky and dark, which are attributes. ``area`` and ``expected``
-    belong to patches. Raises :class:`RadiosityError` for another suffix, and for segments with local rays, which can be
-    added after reading.
+    ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order. A pair has the indices
+    of two patches that see each other, counted from 0, or of sky or dark, which are attributes. ``area`` and
+    ``expected`` have a value per patch. Raises :class:`RadiosityError` for another suffix, and for segments with local
+    rays, which can be added after reading.
     """
     if segments.correction is not None:
         raise RadiosityError(
@@ -103,7 +104,7 @@ def write_solution(
     by_patch: Mapping[str, NDArray[Any]],
     metadata: Mapping[str, Any] | None,
 ) -> None:
-    """The arrays of :func:`save_solution`, and the mesh."""
+    """Write the arrays of :func:`save_solution`, and the mesh."""
     patches = solution.patches
     file = NetcdfFile("Radiosities of patches of surfaces", metadata)
     for name, values in by_patch.items():

@@ -34,7 +34,7 @@ SOLUTION_FILES = {
     ".glb": "vertex colours in one file",
     ".gltf": "the same, as text",
 }
-#: Bytes of View3D's text: of a number that is not zero beside those of a zero, and the most of a file.
+#: View3D's text: additional bytes of a non-zero number compared with a zero, and largest size of a file in bytes.
 _ENTRY, _MOST_TEXT = 10.0, 4e9
 
 
@@ -51,7 +51,7 @@ def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
 
 
 def check_text_size(path: str | os.PathLike[str], patches: int, entries: int) -> None:
-    """Raise :class:`RadiosityError` if View3D's text of so many patches, with so many entries that are not zero, would
+    """Raise :class:`RadiosityError` if View3D's text of ``patches`` patches, with ``entries`` non-zero entries, would
     take more than 4 GB, or more than the free space of the disk."""
     size = 2.0 * patches**2 + _ENTRY * min(entries, patches**2)
     folder = Path(path).absolute().parent
@@ -153,8 +153,8 @@ def save_solution(
     ``.glb``, ``.gltf``: the smooth radiosities of ``.ply`` as vertex colours of glTF (:func:`write_gltf`).
 
     irradiance_error: (n, c) standard error of the irradiance, such as ``solution.irradiance_error(segments)``; it is
-    written to ``.npz``, ``.nc`` and ``.vtu``, and reflected as ``radiosity_error``: the error of the last bounce, which
-    is nearly all of it. metadata: values for JSON, for ``.npz``, ``.nc`` and glTF.
+    written to ``.npz``, ``.nc`` and ``.vtu``, and, times the reflectance, as ``radiosity_error``: the error of the last
+    bounce, which is nearly all of the error. metadata: values for JSON, for ``.npz``, ``.nc`` and glTF.
 
     Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
     :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.

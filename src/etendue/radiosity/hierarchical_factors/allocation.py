@@ -1,4 +1,4 @@
-"""Lines of the spheres of a tree: shares, and whole numbers."""
+"""Distribution of lines over the spheres of a tree: shares, and whole numbers."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _STEPS = 200
 
 
 def area_shares(tree: SphereTree, main: float = MAIN_SHARE) -> Array:
-    """(m,) shares of the lines: ``main`` in the main sphere, the rest by the chance that a line of a sphere hits
-    something, roughly the area of its objects over its own [Castro 2002, sec. 4.2.3].
+    """(m,) shares of the lines: ``main`` in the main sphere, the rest by the probability that a line of a sphere hits
+    something, roughly the area of its objects over that of the sphere [Castro 2002, sec. 4.2.3].
 
-    Raises :class:`RadiosityError` for a share that is not above 0 and at most 1: walls need the main sphere.
+    Raises :class:`RadiosityError` for a share ``main`` that is not above 0 and at most 1: walls need the main sphere.
     """
     if not 0 < main <= 1:
         raise RadiosityError(f"the main sphere has a share of the lines above 0 and up to 1, not {main!r}")
@@ -30,11 +30,11 @@ def area_shares(tree: SphereTree, main: float = MAIN_SHARE) -> Array:
 
 
 def least_error_shares(tree: SphereTree) -> Array:
-    """(m,) shares for which the squared errors of form factors (F1) are least at a given number of lines.
+    """(m,) shares that minimise the squared errors of form factors (F1) for a given number of lines.
 
     The variance of row i is at most 1 / r_i, and r_i = A_i sum_S 2 n_S / S over the spheres that patch i belongs to:
-    the sum over i is convex in the shares. Each step multiplies a share by the root of what the sum would gain by more
-    lines there, which never makes it larger [Silvey 1978].
+    the sum over i is convex in the shares. Each step multiplies a share by the root of the decrease of this sum per
+    additional line in the sphere; such a step never increases the sum [Silvey 1978].
     """
     areas = tree.objects.patches.areas
     shares = area_shares(tree)
@@ -47,8 +47,8 @@ def least_error_shares(tree: SphereTree) -> Array:
 
 
 def allocated(lines: int, shares: Array) -> NDArray[np.int64]:
-    """``lines`` in whole numbers by ``shares`` (m,), which sum to 1: each is its share rounded down, or up where the
-    rest is largest, so that they sum to ``lines``."""
+    """(m,) whole numbers that sum to ``lines``, by ``shares`` (m,), which sum to 1: rounded up where the remainders are
+    largest, and down elsewhere."""
     exact = lines * shares
     counts = np.floor(exact).astype(np.int64)
     rest = lines - int(counts.sum())

@@ -1,4 +1,4 @@
-"""Hierarchical form factors in passes, for what drives methods: budgets, progress, checkpoints, stops."""
+"""Hierarchical form factors in passes, as a method of the engine."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from .lines import TreeBundles, TreeRays
 from .segments import PartialSegments
 from .tree import sphere_tree
 
-#: Lines of a bundle by rays, at least, and for each sphere.
+#: Smallest number of lines of a bundle by rays, in total and per sphere.
 _LINES, _LINES_PER_SPHERE = 4096, 32
-#: Of a measurement: the record of segments.
+#: Name of the record of segments in a measurement.
 _SEGMENTS = "segments"
 
 
 @dataclass(frozen=True, kw_only=True)
 class HierarchicalCastingSettings(CastingSettings):
-    """What of hierarchical casting decides the lines. A *bundle* is cast in all spheres, by their shares: parallel
-    lines in each of them, or, with rays, as many single ones."""
+    """Settings that determine the lines. A *bundle* is cast in all spheres, by their shares: parallel lines in each
+    sphere or, with rays, as many single lines."""
 
     lines: float = setting(0.0, "lines of a bundle in all spheres together, 0 for the engine's choice", minimum=0)
     shot: bool = setting(False, "no shot: it is for light")
@@ -57,7 +57,7 @@ class HierarchicalCasting(LineCasting):
     :class:`LineCasting` does. The form factors of small patches, which few lines of the whole scene meet, come from
     lines of the spheres around them.
 
-    objects: of the patches that :meth:`prepare` is given. goal: ``rows``, or none.
+    objects: the objects of the patches of :meth:`prepare`. goal: ``rows`` or ``None``.
     """
 
     name: ClassVar[str] = "hierarchical-lines"
@@ -94,7 +94,7 @@ class HierarchicalCasting(LineCasting):
         super().prepare(problem, seed)
 
     def segments(self, measurement: Measurement) -> PartialSegments:  # type: ignore[override]
-        """Of all bundles. Warns as :meth:`LineEngine.cast` does."""
+        """The segments of all bundles. Warns as :meth:`LineEngine.cast` does."""
         segments = self._lines(measurement)
         warn_of_faults(segments)
         return segments
@@ -113,7 +113,7 @@ class HierarchicalCasting(LineCasting):
         return TreeRays(tree, self._scene, sequences, allocated(lines, shares))
 
     def _points(self, node: int) -> PointSet:
-        """Those of a sphere."""
+        """The point set of a sphere."""
         seed = seed_key(self._seed, "lines", node)[0]
         name = self._hierarchy.points
         if name == "auto":

@@ -24,23 +24,23 @@ from .tree import SphereTree
 
 Index = NDArray[np.int64]
 
-#: Lines at once.
+#: Number of lines that are cast together.
 _BATCH = 1 << 16
-#: Bundles of all spheres in one task.
+#: Number of bundles of one task.
 _BUNDLES = 8
 
 
 class TreeLines(LineEngine):
     """Lines in the spheres of a tree; see :class:`TreeRays` and :class:`TreeBundles`.
 
-    A point of the engine, called a *bundle*, makes lines in every sphere, by its share; each sphere has a point set of
-    its own. Segments are those of :class:`PartialSegments`. Each is a function of the spheres, the points and the
-    shares, on any number of threads.
+    A point of the engine, called a *bundle*, makes lines in every sphere, by the share of the sphere; each sphere has
+    its own point set. Segments are those of :class:`PartialSegments`. They depend only on the spheres, the points and
+    the shares, not on the number of threads.
 
     Attributes
     ----------
     tree, sequences: the spheres, and the point set of each.
-    lines: (m,) of a bundle in each sphere, in the mean.
+    lines: (m,) mean number of lines of a bundle in each sphere.
     """
 
     def __init__(self, tree: SphereTree, sequences: Sequence[PointSet], lines: Array) -> None:
@@ -53,7 +53,7 @@ class TreeLines(LineEngine):
         self.lines: Array = np.asarray(lines, dtype=np.float64)
 
     def densities(self, count: int) -> Array:
-        """(m,) of ``count`` bundles: see :meth:`SphereTree.densities`."""
+        """(m,) densities of the lines of ``count`` bundles: see :meth:`SphereTree.densities`."""
         return self.tree.densities(count * self.lines)
 
     def expected(self, count: int) -> Array:
@@ -66,8 +66,8 @@ class TreeLines(LineEngine):
 
 
 class TreeRays(TreeLines):
-    """Lines through pairs of points of each sphere, followed through the whole scene where that matters: from the last
-    thing before the sphere to the first behind it.
+    """Lines through pairs of points of each sphere, followed from the last hit before the sphere to the first hit
+    behind it.
 
     lines: (m,) whole numbers.
     """
@@ -94,7 +94,7 @@ class TreeRays(TreeLines):
         return self._generators[node].lines(self.sequences[node].block(number * each, start * each))
 
     def _reach(self, lines: Lines, node: Index) -> Array:
-        """Lengths up to where lines leave their spheres, and as far outside as they began; the main sphere has all."""
+        """Lengths of lines through their spheres, with equal margins at both ends; infinite for the main sphere."""
         to_centre = self.tree.centres[node] - lines.origins
         along = (to_centre * lines.directions).sum(axis=1)
         return np.where(node == 0, np.inf, 2 * along)
@@ -103,8 +103,8 @@ class TreeRays(TreeLines):
 class TreeBundles(TreeLines):
     """Bundles of parallel lines through each sphere, in which all faces are rasterised (:class:`ABuffer`).
 
-    The grid of a sphere covers its disc, with as many lines as are its share. The loops are those for the CPU, also
-    under CUDA. Every sphere looks at all faces: with hundreds of objects, take :class:`TreeRays`.
+    The grid of a sphere covers its disc, with the number of lines of its share, at least one. The loops are those for
+    the CPU, also under CUDA. Every sphere tests all faces: with hundreds of objects, use :class:`TreeRays`.
     """
 
     def __init__(self, tree: SphereTree, sequences: Sequence[PointSet], lines: Array) -> None:
@@ -139,7 +139,7 @@ class TreeBundles(TreeLines):
         return in_order(task(*piece) for piece in self._pieces(count, first, size))
 
     def _disc(self, node: int) -> tuple[float, Array, float]:
-        """Spacing of lines, centre and radius of a sphere, in units of the scene."""
+        """Spacing of lines, centre and radius of a sphere, in radii of the scene."""
         centre, radius = self.patches.sphere
         generator = self._generators[node]
         middle = np.ascontiguousarray((self.tree.centres[node] - centre) / radius)

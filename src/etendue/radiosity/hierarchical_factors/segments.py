@@ -1,4 +1,4 @@
-"""Segments of lines that were cast in parts of a scene, and form factors of them."""
+"""Segments of lines that were cast in parts of a scene, and their form factors."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .tree import SphereTree
 
 Index = NDArray[np.int64]
 
-#: Set in an end of a segment that does not belong to the sphere of the line.
+#: Flag of an end of a segment that does not belong to the sphere of the line.
 OUTSIDE = np.uint32(1 << 31)
-#: Segments that are counted at once.
+#: Number of segments that are counted together.
 _BLOCK = 1 << 22
 #: Bytes of a segment while it is counted, and of a form factor.
 _SEGMENT_BYTES, _FACTOR_BYTES = 40, 120
 
 
 def marked(pairs: Pairs, spheres: Index, tree: SphereTree) -> Pairs:
-    """Segments (k, 2) of lines of given spheres (k,), without those that have no end in the sphere of their line; the
-    other ends that are not in it get the mark ``OUTSIDE``."""
+    """Segments (k, 2) of lines of given spheres (k,), without segments that have no end in the sphere of their line. An
+    end outside the sphere gets the flag ``OUTSIDE``."""
     first, second = (tree.belong(spheres, pairs[:, end]) for end in range(2))
     kept = np.flatnonzero(first | second)
     result = pairs[kept]
@@ -39,18 +39,18 @@ def marked(pairs: Pairs, spheres: Index, tree: SphereTree) -> Pairs:
 class PartialSegments:
     """Segments between patches, each of a line that was cast in a sphere of a :class:`SphereTree`.
 
-    Lines of a sphere are uniform inside it: they tell what the patches that belong to it see, wherever that is, and
-    nothing of other patches. So the numbers r_ij of lines that lead from i to j, and r_ji, differ: lines of a sphere
-    that i belongs to, and j does not, count for r_ij alone. For each patch r_i = sum_j r_ij, with the sky and the backs
-    of faces [Castro 2002, sec. 4.2.4].
+    Lines of a sphere are uniform inside it: they sample what the patches of the sphere see, inside and outside it, but
+    not what other patches see. So the number r_ij of lines that lead from i to j differs from r_ji: lines of a sphere
+    to which i belongs, but j does not, count for r_ij only. For each patch r_i = sum_j r_ij, including the sky and the
+    backs of faces [Castro 2002, sec. 4.2.4].
 
     Attributes
     ----------
     chunks: arrays (k, 2) of patches, ``n`` for the sky and ``n + 1`` for the back of a face; ends that do not belong to
         the sphere of the line have ``OUTSIDE`` added.
-    densities: (m,) expected lines of each sphere and of those above it, through a flat patch of area 1.
-    expected, counted: (n,) lines r_i through each patch: expected, if it is flat, and found.
-    to_sky, to_dark: (n,) those that lead to the sky, and to the back of a face.
+    densities: (m,) expected lines of each sphere and the spheres above it, through a flat patch of area 1.
+    expected, counted: (n,) lines r_i through each patch: expected, if the patch is flat, and counted.
+    to_sky, to_dark: (n,) lines from each patch that lead to the sky, and to the back of a face.
     """
 
     def __init__(self, tree: SphereTree, chunks: Sequence[Pairs], densities: Array) -> None:
@@ -73,11 +73,11 @@ class PartialSegments:
 
     @property
     def unseen(self) -> Index:
-        """Patches without any line: nothing is known about them."""
+        """Patches without any line, whose form factors are unknown."""
         return np.flatnonzero(self.counted == 0)
 
     def gather(self, values: ArrayLike) -> Array:
-        """Mean of ``values`` (n, c) over what each patch sees, zero in the sky: F values, with F1."""
+        """Mean of ``values`` (n, c) over the surfaces that each patch sees, zero for the sky: F values, with F1."""
         n = len(self.patches)
         given = np.asarray(values, dtype=np.float64).reshape(n, -1)
         full = np.concatenate([given, np.zeros((2, given.shape[1]))], axis=0)
@@ -88,9 +88,9 @@ class PartialSegments:
         return sums / np.maximum(self.counted, 1)[:, None]
 
     def counts(self) -> tuple[Any, Any]:
-        """Matrices (n, n): the lines r_ij that lead from i to j, and those of them that r_ji counts as well.
+        """Matrices (n, n): the number r_ij of lines that lead from i to j, and how many of these r_ji counts as well.
 
-        Raises :class:`RadiosityError` if they do not fit into memory.
+        Raises :class:`RadiosityError` if the form factors do not fit into memory.
         """
         n, free = len(self.patches), free_memory()
         need = _SEGMENT_BYTES * min(len(self), _BLOCK) + _FACTOR_BYTES * min(2 * len(self), n**2)
@@ -113,7 +113,7 @@ class PartialSegments:
         return found.tocsr(), both.tocsr()
 
     def _views(self) -> Iterator[tuple[Index, Index]]:
-        """Patches that belong to the sphere of a line, and what it leads to."""
+        """Segment ends that belong to the sphere of the line, and the opposite ends."""
         for pairs in self._blocks():
             ends = (pairs & ~OUTSIDE).astype(np.int64)
             for end in range(2):
@@ -121,7 +121,7 @@ class PartialSegments:
                 yield ends[inside, end], ends[inside, 1 - end]
 
     def _blocks(self) -> Iterator[Pairs]:
-        """The chunks, several at once."""
+        """The chunks, joined to larger blocks."""
         waiting: list[Pairs] = []
         for chunk in self.chunks:
             waiting.append(chunk)
@@ -135,10 +135,10 @@ class PartialSegments:
 def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4") -> FormFactors:
     """Form factors of segments in parts of a scene, see :func:`estimate`; here F4 has the least error.
 
-    ``reciprocal`` and ``pooled`` divide the number of different lines between two patches by the lines of all spheres
-    that one or the other belongs to, as expected or as counted. Errors are those of independent lines.
+    ``reciprocal`` and ``pooled`` divide the number of different lines between two patches by the expected or counted
+    lines of all spheres to which either patch belongs. Errors are those of independent lines.
 
-    Raises :class:`RadiosityError` if they do not fit into memory.
+    Raises :class:`RadiosityError` if the form factors do not fit into memory.
     """
     patches, tree = segments.patches, segments.tree
     found, both = segments.counts()
@@ -146,7 +146,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
     if estimator in ("reciprocal", "pooled"):
         matrix = (found + found.T - both).tocoo()
         i, j = matrix.coords
-        # Lines expected through a unit of area of the one, of the other, and of both together.
+        # Expected lines per area of patch i, of patch j, and of the spheres that both belong to.
         density, common = tree.of_patches(segments.densities), segments.densities[tree.common(i, j)]
         different, relative = density[i] + density[j] - common, 1 / matrix.data
         if estimator == "reciprocal":
@@ -170,13 +170,13 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
 
 
 def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, estimator: Estimator) -> Any:
-    """Standard errors with the structure of ``matrix``. Both directions count some lines together."""
+    """Standard errors with the structure of ``matrix``. Some lines are counted in both directions."""
     entries = matrix.tocoo()
     i, j = entries.coords
     there, back, shared = (_entries(x, i, j) for x in (found, found.T.tocsr(), both))
     m_i, m_j, ratio = lines[i], np.maximum(lines[j], 1), areas[j] / areas[i]
     own, other = there / np.maximum(m_i, 1), back / m_j
-    # Variances of the two directions, from their Poisson counts, and what the common lines make them share.
+    # Variances of the two directions, from their Poisson counts, and their covariance from common lines.
     parts = own * (1 - own) / np.maximum(m_i, 1), ratio**2 * other * (1 - other) / m_j
     common = ratio * shared / (np.maximum(m_i, 1) * m_j)
     weights = {"F1": (1.0, 0.0), "F2": (0.0, 1.0), "F3": (m_i, lines[j]), "F4": (there, back)}[estimator]
@@ -186,8 +186,8 @@ def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, esti
 
 
 def _spread_of_lines(i: Index, j: Index, found: Any, both: Any, lines: Array, areas: Array, different: Array) -> Array:
-    """What the scatter of ``r_i / A_i + r_j / A_j`` adds to the relative variance of entries with that divisor: less
-    than nothing, as it counts the ``different`` lines of the entry, too."""
+    """Contribution of the variance of ``r_i / A_i + r_j / A_j`` to the relative variance of entries with that divisor.
+    The contribution is negative, since the divisor also counts the ``different`` lines of the entry."""
     there, back, shared = (_entries(x, i, j) for x in (found, found.T.tocsr(), both))
     a, b = areas[i], areas[j]
     divisor = lines[i] / a + lines[j] / b

@@ -13,7 +13,7 @@ from etendue.surfaces import Objects, bounding_sphere, joint_sphere
 
 Index = NDArray[np.int64]
 
-#: Ranks of the walls, and of what is no patch.
+#: Ranks of the walls, and of the sky and backs of faces.
 _WALL, _NOTHING = -1, -2
 
 
@@ -21,17 +21,17 @@ _WALL, _NOTHING = -1, -2
 class SphereTree:
     """Spheres around sub-scenes: single objects, groups of them, and the whole scene with its walls.
 
-    The first sphere is the main one, around everything; the others are a binary tree of groups of objects, parents
-    before their children. k objects make 2 k spheres. Each sphere holds those of its children.
+    The first sphere is the main sphere around everything; the others are a binary tree of groups of objects, parents
+    before their children. k objects make 2 k spheres. Each sphere contains the spheres of its children.
 
     Attributes
     ----------
     objects: the leaves.
     centres, radii: (m, 3), (m,).
-    parents: (m,) the sphere above, -1 for the main one.
-    first, last: (m,) the objects of a sphere are those with a ``rank`` from ``first`` to before ``last``; walls have
-        the rank -1, and belong to the main sphere alone.
-    rank: (k,) of the objects.
+    parents: (m,) the sphere above, -1 for the main sphere.
+    first, last: (m,) the objects of a sphere have a ``rank`` from ``first`` to ``last - 1``; walls have the rank -1,
+        and belong to the main sphere only.
+    rank: (k,) ranks of the objects.
     """
 
     objects: Objects
@@ -47,7 +47,7 @@ class SphereTree:
 
     @cached_property
     def areas(self) -> Array:
-        """(m,) summed areas of the objects in each sphere; those of walls are not counted."""
+        """(m,) summed areas of the objects in each sphere, without walls."""
         return self.summed(np.where(self.objects.of_patch < 0, 0.0, self.objects.patches.areas))
 
     @cached_property
@@ -57,7 +57,7 @@ class SphereTree:
 
     @cached_property
     def levels(self) -> Index:
-        """(m,) spheres above each."""
+        """(m,) number of spheres above each sphere."""
         levels = np.zeros(len(self), dtype=np.int64)
         for node in range(1, len(self)):
             levels[node] = levels[self.parents[node]] + 1
@@ -65,14 +65,14 @@ class SphereTree:
 
     @cached_property
     def ranks(self) -> Index:
-        """(n + 2,) the rank of each patch, and -2 for the sky and for the back of a face, which belong to no sphere."""
+        """(n + 2,) the rank of each patch; -2 for the sky and the back of a face, which belong to no sphere."""
         of_patch = self.objects.of_patch
         ranks = np.where(of_patch < 0, _WALL, self.rank[of_patch])
         return np.concatenate([ranks, [_NOTHING, _NOTHING]])
 
     @cached_property
     def leaves(self) -> Index:
-        """(k,) the sphere of the single object of each rank."""
+        """(k,) the sphere of the object of each rank."""
         single = np.flatnonzero(self.last - self.first == 1)
         single = single[self.first[single] >= 0]
         leaves = np.empty(self.objects.count, dtype=np.int64)
@@ -89,30 +89,30 @@ class SphereTree:
         return np.asarray(sums)
 
     def densities(self, lines: Array) -> Array:
-        """(m,) expected lines through a flat patch of area 1 that belongs to a sphere: 2 N / S of it and of each above
-        it [Castro 2002, sec. 2.3.2]. lines: (m,)."""
+        """(m,) expected lines through a flat patch of area 1 that belongs to a sphere: the sum of 2 N / S over the
+        sphere and the spheres above it [Castro 2002, sec. 2.3.2]. lines: (m,), N."""
         densities = 2 * lines / self.surfaces
         for node in range(1, len(self)):
             densities[node] += densities[self.parents[node]]
         return np.asarray(densities)
 
     def of_patches(self, values: Array) -> Array:
-        """(n,) of ``values`` (m,), that of the smallest sphere that each patch belongs to."""
+        """(n,) the value, of ``values`` (m,), of the smallest sphere that each patch belongs to."""
         return np.asarray(values[self.lowest])
 
     @cached_property
     def lowest(self) -> Index:
-        """(n,) the smallest sphere that each patch belongs to: that of its object, or the main one."""
+        """(n,) the smallest sphere that each patch belongs to: the sphere of its object, or the main sphere."""
         leaves = np.concatenate([self.leaves, [0]])  # the rank -1 of walls is the last entry
         return leaves[self.ranks[:-2]]
 
     def belong(self, spheres: Index, patches: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Whether patches belong to spheres; ``n`` and ``n + 1``, the sky and the back of a face, to none."""
+        """Whether patches belong to spheres; the sky ``n`` and the back of a face ``n + 1`` belong to none."""
         ranks = self.ranks[patches]
         return (ranks >= self.first[spheres]) & (ranks < self.last[spheres])
 
     def common(self, one: Index, other: Index) -> Index:
-        """The smallest sphere that two patches (arrays of equal length) belong to both."""
+        """The smallest sphere to which both of two patches belong; arrays of equal length."""
         a, b = self.lowest[one], self.lowest[other]
         while len(apart := np.flatnonzero(a != b)):
             deeper = self.levels[a[apart]] >= self.levels[b[apart]]
@@ -122,10 +122,10 @@ class SphereTree:
 
 
 def sphere_tree(objects: Objects) -> SphereTree:
-    """Spheres around objects, the two with the closest centres joined again and again [Castro 2002, sec. 4.2.2].
+    """Spheres around objects; the two spheres with the closest centres are joined repeatedly [Castro 2002, sec. 4.2.2].
 
-    The sphere of a group is the smallest around its two parts; that of an object, and the main one, are the smallest
-    around vertices. A group whose sphere would reach out of the main one gets the main one, which holds it as well.
+    The sphere of a group is the smallest sphere around its two parts. The spheres of objects and the main sphere are
+    the smallest around their vertices. A group whose sphere is not inside the main sphere gets the main sphere.
     """
     k = objects.count
     if k == 1:
@@ -137,7 +137,7 @@ def sphere_tree(objects: Objects) -> SphereTree:
     used = patches.vertices[np.unique(patches.faces)]
     middle, radius = bounding_sphere(used)
 
-    # From the top down: parents before children, and the objects of a sphere next to each other.
+    # From the top down: parents come before children, and the objects of a sphere have consecutive ranks.
     order, parents, first, last, rank = [-1], [-1], [-1], [k], np.empty(k, dtype=np.int64)
     stack, ranked = [(2 * k - 2, 0)], 0
     sizes = np.ones(2 * k - 1, dtype=np.int64)
@@ -164,15 +164,15 @@ def sphere_tree(objects: Objects) -> SphereTree:
 
 
 def _closest_pairs(centres: Array, radii: Array, count: int) -> list[tuple[int, int]]:
-    """Join spheres until one is left; those that are made are written behind the first ``count``. Each row of the
-    result names the two parts of one."""
+    """Join spheres until one is left; new spheres are written after the first ``count``. Returns the two parts of each
+    new sphere."""
     alive = np.zeros(len(radii), dtype=bool)
     alive[:count] = True
     nearest = np.zeros(len(radii), dtype=np.int64)
     distance = np.full(len(radii), np.inf)
 
     def look(node: int) -> None:
-        """Find the neighbour of a sphere."""
+        """Find the nearest neighbour of a sphere."""
         others = np.flatnonzero(alive)
         others = others[others != node]
         if len(others) == 0:

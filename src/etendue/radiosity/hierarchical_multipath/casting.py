@@ -1,4 +1,4 @@
-"""Loops compiled by Numba that cast lines through a part: all that a line meets, in double precision.
+"""Loops compiled by Numba that cast lines through a part and find all hits of a line, in double precision.
 
 Primitives of a part are its faces and the boxes of its copies, in a tree of boxes (bounding volume hierarchy).
 """
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: Primitives of a leaf, cuts that are tried along an axis, and depth of the stack.
+#: Largest number of primitives of a leaf, number of bins along an axis, and depth of the stack.
 _LEAF, _BINS, _DEPTH = 4, 16, 128
-#: Hits of a line, at most.
+#: Largest number of hits of a line.
 MOST_HITS = 4096
-#: Hits nearer to each other than this, in sizes of the part, are in one place.
+#: Hits closer to each other than this, in units of the part's size, are at the same place.
 _SAME_PLACE = 1e-10
 
 
@@ -22,8 +22,9 @@ _SAME_PLACE = 1e-10
 def build(low: Any, high: Any) -> Any:
     """A tree over boxes (n, 3): corners of its nodes (m, 2, 3), links (m, 3), and the order of the primitives.
 
-    Links are: the second child (the first follows its parent), or of a leaf its first place in the order; how many
-    primitives a leaf has, 0 for other nodes; the axis of the cut. Cuts are those of least surface area heuristic.
+    Links are: the second child (the first child follows its parent), or of a leaf its first place in the order; the
+    number of primitives of a leaf, 0 for inner nodes; the axis of the split. Splits minimise the surface area
+    heuristic.
     """
     count = len(low)
     order = np.arange(count)
@@ -61,7 +62,7 @@ def build(low: Any, high: Any) -> Any:
             bins[b] += 1
             for a in range(3):
                 bins_low[b, a], bins_high[b, a] = min(bins_low[b, a], low[p, a]), max(bins_high[b, a], high[p, a])
-        # Areas times numbers of all that is right of each cut, then of what is left of it.
+        # Area times number of primitives on the right of each split, then on its left.
         first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
         for b in range(_BINS - 1, 0, -1):
             n += bins[b]
@@ -100,13 +101,13 @@ def _half_area(low: Any, high: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def slab(corners: Any, o: Any, inverse: Any) -> Any:
-    """Where a line enters a box and leaves it."""
+    """Distances at which a line enters and leaves a box; it misses the box if the first is larger."""
     near, far = -np.inf, np.inf
     for a in range(3):
         x, y = (corners[0, a] - o[a]) * inverse[a], (corners[1, a] - o[a]) * inverse[a]
         if x > y:
             x, y = y, x
-        if x > near:  # false for 0 times infinity: a line in the plane of a wall
+        if x > near:  # false for 0 times infinity (NaN): a line in the plane of a wall
             near = x
         if y < far:
             far = y
@@ -115,7 +116,8 @@ def slab(corners: Any, o: Any, inverse: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def meets(corners: Any, normal: Any, o: Any, d: Any) -> Any:
-    """Where a line meets a face (4, 3), NaN where it does not. Edges that faces share have equal signs for both."""
+    """Distance at which a line meets a face (4, 3), NaN if it does not. For a shared edge both faces compute the same
+    number up to its sign, so that no line passes between them."""
     positive, negative = False, False
     bx, by, bz = corners[0, 0] - o[0], corners[0, 1] - o[1], corners[0, 2] - o[2]
     x0, y0, z0 = bx, by, bz
@@ -138,7 +140,7 @@ def meets(corners: Any, normal: Any, o: Any, d: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def enter(matrix: Any, o: Any, d: Any, inner_o: Any, inner_d: Any) -> None:
-    """A line in coordinates of a copy; ``matrix`` (3, 4) goes there. Distances along it stay the same numbers."""
+    """Transform a line into coordinates of a copy by ``matrix`` (3, 4). Distances along the line keep their values."""
     for a in range(3):
         inner_d[a] = matrix[a, 0] * d[0] + matrix[a, 1] * d[1] + matrix[a, 2] * d[2]
         inner_o[a] = matrix[a, 0] * o[0] + matrix[a, 1] * o[1] + matrix[a, 2] * o[2] + matrix[a, 3]
@@ -146,12 +148,12 @@ def enter(matrix: Any, o: Any, d: Any, inner_o: Any, inner_d: Any) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def region(corners: Any, o: Any, d: Any, t: Any, leaves: Any, grid: Any, around: Any, up: Any) -> Any:
-    """The region of a box that a line crosses at t, where it ``leaves`` the box or enters it.
+    """The region of a box that a line crosses at distance t, where it ``leaves`` or enters the box.
 
-    By face (low x, high x, low y, ...), place on it (grid x grid) and direction: ``around`` sectors times ``up`` rings,
-    which lines of cosine density cross equally often.
+    Regions are ordered by face (low x, high x, low y, ...), place on the face (grid x grid), ring and sector. Lines of
+    cosine density cross the ``around`` sectors times ``up`` rings of directions equally often.
     """
-    # The face whose plane is the nearest; the direction out of the box.
+    # The face whose plane is nearest to the point at t. `sign * d` points out of the box.
     sign = 1.0 if leaves else -1.0
     axis, best = 0, np.inf
     for a in range(3):
@@ -189,12 +191,13 @@ def lists(
     size: Any,
     is_root: Any,
 ) -> Any:
-    """What lines meet in a part: stretches between two ends with the boxes crossed on the way.
+    """Cut lines through a part into stretches: two ends, and the boxes of copies that are crossed between them.
 
     An end is a patch (``sides`` (f, 2) of faces: front, back), n the sky, n + 1 dark, or n + 2 + r region r of the
-    part's own box. Returns ends (k, 2); where the crossings of each stretch begin (k + 1,); crossings (x, 2), numbers
-    of regions of children where a line enters and leaves; lines through each region (r,), their summed transmittances
-    (r,); first faces (y, 2) behind regions; tests of polygons, of boxes of copies; whether a line had too many hits.
+    part's own box. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
+    regions of children where a line enters and leaves; number of lines through each region (r,), and the sum of their
+    transmittances (r,); regions and the faces hit first behind them (y, 2); numbers of tests of polygons and of boxes
+    of copies; whether a line had too many hits.
     """
     grid, around, up = resolution[0], resolution[1], resolution[2]
     regions = 6 * grid * grid * around * up
@@ -253,7 +256,7 @@ def lists(
                         boxes[child], inner_o, inner_d, far, True, grid, around, up
                     )
                     hits += 1
-        # By distance; of faces in one place first those that the line leaves, as of solids that touch.
+        # Sort hits by distance. At the same place, faces that the line leaves come first, as for solids that touch.
         for i in range(1, hits):
             t, w, leave, p0, p1 = at[i], what[i], leaves[i], place[i, 0], place[i, 1]
             j = i - 1
@@ -286,7 +289,7 @@ def lists(
             if i < hits:
                 face, back = what[i], int(leaves[i])
                 right, after = sides[face, back], sides[face, 1 - back]
-            # What neither light enters nor leaves is not kept, but for what crosses copies.
+            # Stretches between sky and dark, or between two regions, matter only if they cross copies.
             is_empty = (left == sky or left == sky + 1) and (right == sky or right == sky + 1)
             is_through = left > sky + 1 and right > sky + 1
             if is_through:

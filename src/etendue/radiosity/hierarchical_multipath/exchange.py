@@ -17,26 +17,26 @@ from .parts import Part, Tree
 
 Index = NDArray[np.int64]
 
-#: Copies whose exchange is one task, at most.
+#: Largest number of copies whose exchange is one task.
 _COPIES = 32
 
 
 class Exchange:
-    """Power on its way through a scene of parts.
+    """The exchange of power in a scene of parts.
 
-    lists: of every distinct part. shot: has sent all emission; without one, patches send theirs along the lines, as the
-    sky does in any case.
+    lists: of every distinct part. shot: has sent all emission. Without a shot, patches send their emission along the
+    lines; the sky always does.
 
-    At the beginning of an iteration each patch shares what it has not sent on among all its lines. What it receives
-    along one of them leaves along the next one, as in Multipath: nearly all light is absorbed within few iterations.
+    At the beginning of an iteration each patch distributes its unshot power over all its lines. Power that it receives
+    along one line leaves along the next line, as in Multipath: nearly all light is absorbed within few iterations.
 
-    levels: of the tree, the only ones that are exchanged here, by default all; ``lists`` are then of their parts. What
-    waits at the boxes of the level below comes from elsewhere, as for a part of the tree in another process.
+    levels: the levels of the tree that are exchanged here, by default all; ``lists`` then need only their parts. Power
+    at the boxes of the level below is exchanged elsewhere, such as in another process.
 
-    ``received``: by patches. ``unshot``: by patches that have not sent it on yet; ``incoming``, ``outgoing`` (nodes, r,
-    c): what waits at the regions of boxes, to be taken into the copy and out of it. (c,): ``sent`` by emission and sky;
-    ``to_sky``, ``lost`` to backs of faces. Sums over nodes are in their order, so that they do not depend on threads
-    and processes.
+    Power of patches: ``received``, and ``unshot``, which they have not sent on yet. Power (nodes, r, c) that waits at
+    the regions of boxes: ``incoming`` to the copy, ``outgoing`` from it. Power (c,): ``sent`` by emission and sky,
+    ``to_sky``, ``lost`` to backs of faces. Nodes are summed in their order, so that sums do not depend on the number of
+    threads and processes.
     """
 
     def __init__(
@@ -74,11 +74,11 @@ class Exchange:
         self.count(self.sweep())
 
     def sweep(self) -> Array:
-        """:meth:`iterate` without counting: (nodes, 3, c) power that each node sent anew, that left from it to the sky,
-        and that was lost there; zero for nodes of other levels."""
+        """:meth:`iterate` without counting. Returns (nodes, 3, c) power of each node: emission and sky that it sent,
+        power to the sky, and power lost to backs of faces; zero for nodes of other levels."""
         totals = np.zeros((len(self.tree), 3, len(self.sent)))
         for level in self._levels:
-            # Copies of a part next to each other: its lists stay in the cache.
+            # Copies of a part follow each other, so that its lists stay in the cache.
             nodes = np.array(level)[np.argsort(self.tree.part[level.start : level.stop], kind="stable")]
             size = max(min(_COPIES, -(-len(nodes) // (4 * threads()))), 1)
             blocks = [nodes[k : k + size] for k in range(0, len(nodes), size)]
@@ -88,15 +88,15 @@ class Exchange:
         return totals
 
     def count(self, totals: Array) -> None:
-        """Count what :meth:`sweep` returned."""
+        """Add the ``totals`` that :meth:`sweep` returned."""
         sent, to_sky, lost = totals.sum(axis=0)
         self.sent += sent
         self.to_sky += to_sky
         self.lost += lost
 
     def iterate_until(self, residual: float, most: int, told: Callable[[int, float], object] | None = None) -> float:
-        """Iterate until no more than this share of the sent power is on its way, ``most`` times at most. Returns the
-        share. ``told`` is given the iterations so far and the share."""
+        """Iterate until the unshot power is at most the share ``residual`` of the sent power, at most ``most`` times.
+        Returns the share. ``told`` is called with the number of iterations so far and the share."""
         share = np.inf
         for iteration in range(most):
             self.iterate()
@@ -109,16 +109,16 @@ class Exchange:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the power at patches and boxes."""
+        """Bytes of the arrays of power at patches and boxes."""
         arrays = [*self.received.of_parts, *self.unshot.of_parts, self.incoming, self.outgoing]
         return sum(array.nbytes for array in arrays)
 
     def share(self, power: Array) -> float:
-        """Share of the sent power that ``power`` (c,) is; of the channel where it is largest."""
+        """``power`` (c,) relative to the sent power, in the channel where this is largest."""
         return float((power / np.where(self.sent > 0, self.sent, 1)).max())
 
     def waiting(self) -> Array:
-        """(nodes, c) power on its way, by node: of its patches and at its box; zero for nodes of other levels."""
+        """(nodes, c) unshot power of each node, of its patches and at its box; zero for nodes of other levels."""
         rows = np.zeros((len(self.tree), len(self.sent)))
         for node in self._nodes:
             at_box = (self.incoming[node] + self.outgoing[node]).sum(axis=0)
@@ -127,7 +127,7 @@ class Exchange:
 
     @property
     def residual(self) -> Array:
-        """(c,) power on its way."""
+        """(c,) unshot power."""
         result: Array = self.waiting().sum(axis=0)
         return result
 
@@ -140,7 +140,7 @@ class Exchange:
 
     @property
     def imbalance(self) -> float:
-        """Power sent less what was absorbed, what went to the sky and was lost, and what is on its way; relative."""
+        """Sent power minus absorbed, lost and unshot power and power to the sky, relative to the sent power."""
         off = self.sent - self.absorbed - self.to_sky - self.lost - self.residual
         return float(np.abs(off).max() / max(self.sent.max(), 1e-300))
 
@@ -149,7 +149,7 @@ class Exchange:
             totals[node] = self._node(int(node))
 
     def _node(self, node: int) -> Array:
-        """Exchange in one copy. Returns the power that it sent anew, that left to the sky, and that was lost."""
+        """Exchange in one copy. Returns (3, c) as for :meth:`sweep`."""
         tree, part = self.tree, self.tree.parts[self.tree.part[node]]
         lists, rho = self._lists[tree.part[node]], self._reflectance[tree.part[node]]
         assert lists is not None, "the node is exchanged elsewhere"
@@ -162,7 +162,7 @@ class Exchange:
             own = tree.areas(node)[:, None] * part.patches.emission
             totals[0] = own.sum(axis=0)
             values[:n] = own / counted * has_lines
-            unshot += own * ~has_lines  # nobody knows where to
+            unshot += own * ~has_lines  # there is no line to send it along
         if self._sky_is_unsent and node == 0 and part.patches is not None and part.patches.sky.any():
             values[n] = part.patches.sky * part.box_area / (2 * lists.lines)
             totals[0] += values[n] * np.count_nonzero(lists.ends == n)
@@ -198,7 +198,7 @@ class Exchange:
 
 
 def absorbed_by(tree: Tree, node: int, received: Array) -> Array:
-    """(c,) power absorbed by the patches of a node, of what they ``received`` (n, c)."""
+    """(c,) power absorbed by the patches of a node that ``received`` (n, c) power."""
     patches = tree.parts[tree.part[node]].patches
     if patches is None:
         return np.zeros(tree.root.channels)
@@ -207,7 +207,7 @@ def absorbed_by(tree: Tree, node: int, received: Array) -> Array:
 
 
 def _moved(power: Array, donors: Index) -> Array:
-    """Power of regions, given to those that pass it on."""
+    """Power of regions, moved to the regions ``donors`` that pass it on."""
     result = power.copy()
     away = np.flatnonzero((donors != np.arange(len(donors))) & power.any(axis=1))
     result[away] = 0.0

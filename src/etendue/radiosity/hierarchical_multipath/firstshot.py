@@ -1,4 +1,4 @@
-"""The first shot: light of emitters, sent to the patches of all copies, never to boxes [Castro 2002, sec. 5.3.5]."""
+"""The first shot: light of emitters, sent to the patches of all copies, not to boxes [Castro 2002, sec. 5.3.5]."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from .parts import Part, Tree
 
 Index = NDArray[np.int64]
 
-#: Rays by the cosine law for each aimed one, and at once.
+#: Number of cosine-distributed rays per aimed ray, and number of rays that are cast together.
 _COSINE, _BLOCK = 1 / 8, 1 << 14
-#: Share of a lamp's light up to which a patch takes it from aimed rays: nearer to the lamp, rays by the cosine law are
-#: better.
+#: Limit of the share of a lamp's light that a patch receives by aimed rays. Above this limit, near a lamp,
+#: cosine-distributed rays are better.
 _NEAR = 0.3
 
 
 @dataclass(frozen=True)
 class _Lamps:
-    """Triangles that emit, of all copies, in the scene."""
+    """Emitting triangles of all copies, in coordinates of the scene."""
 
     corners: Array  # (l, 3, 3)
     normals: Array
-    edges: Array  # (l + 1,) cumulated power, channels summed
-    colours: Array  # (l, c) power by channel, in units of that
+    edges: Array  # (l + 1,) cumulative power, summed over channels
+    colours: Array  # (l, c) power by channel, relative to the sum over channels
 
 
 class FirstShots:
-    """Shots in one scene. Raises :class:`RadiosityError` if nothing emits."""
+    """First shots in one scene. Raises :class:`RadiosityError` if nothing emits."""
 
     def __init__(self, tree: Tree, rays: Mapping[Part, PartRays]) -> None:
         self.tree = tree
@@ -48,12 +48,13 @@ class FirstShots:
         self._lamps = self._find_lamps()
         self._pack([rays[part] for part in tree.parts])
         self._size = rays[tree.root].size
-        #: From the scene into the coordinates of each node, linear part.
+        #: From the scene into the coordinates of each node, the linear part.
         self._linear = np.linalg.inv(tree.world[:, :3, :3])
 
     def cast(self, rays: float, points: PointSet, first: int, seed: int) -> Shot:
-        """Aim ``rays`` in all, or more: as many at each patch, and an eighth of them by the cosine law. ``points``: of
-        four dimensions, from ``first`` on in units of a shot; ``seed``: moves them from patch to patch."""
+        """Cast about ``rays`` aimed rays, the same number at each patch and at least one, and in addition an eighth as
+        many cosine-distributed rays. ``points``: of four dimensions, from ``first`` on, in units of a shot. ``seed``:
+        seeds the shifts of the points for each patch."""
         tree, each = self.tree, max(round(rays / self.tree.root.total), 1)
         aimed_at = points.block(each, first * each)
         received, loops = Light.none(tree), compiled("hierarchical_multipath.rays")
@@ -86,7 +87,7 @@ class FirstShots:
         return self._balanced(received, away, each * tree.root.total + count)
 
     def _add(self, found: Index, power: float, received: Light, away: Array) -> None:
-        """What rays by the cosine law bring: to the sky, to backs, and to patches very near to a lamp."""
+        """Add the light of cosine-distributed rays to the sky, to backs of faces, and to patches near a lamp."""
         node, patch, lamp = found.T
         brought = power * self._lamps.colours[lamp]
         away[0] += brought[node == -1].sum(axis=0)
@@ -95,7 +96,8 @@ class FirstShots:
             received.of(self.tree, node[k])[patch[k]] += brought[k]
 
     def _balanced(self, received: Light, away: Array, rays: int) -> Shot:
-        """Made to add up: rays that leave are few, and give way to those that arrive."""
+        """The shot with its powers scaled to the sent power. Few rays leave the scene, so the power that leaves is
+        scaled first."""
         sent = (self._lamps.colours * np.diff(self._lamps.edges)[:, None]).sum(axis=0)
         arrived = sum((part.sum(axis=(0, 1)) for part in received.of_parts), start=np.zeros_like(sent))
         leaving = away.sum(axis=0)
@@ -124,7 +126,7 @@ class FirstShots:
         return _Lamps(corners, normals, np.concatenate([[0], np.cumsum(strength)]), power / strength[:, None])
 
     def _pack(self, rays: list[PartRays]) -> None:
-        """The world that :mod:`.rays` describes, and what of its faces shots want to know."""
+        """The world of :mod:`.rays`, the patches and areas of its faces, and the first triangle of each patch."""
         tree = self.tree
         number = {id(part): k for k, part in enumerate(tree.parts)}
         nodes = np.cumsum([0, *(len(r.corners) for r in rays)])

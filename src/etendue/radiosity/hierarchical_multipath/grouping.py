@@ -1,4 +1,4 @@
-"""The hierarchy of boxes: objects that fill the box around them well become a part [Castro 2002, sec. 5.3.1]."""
+"""The hierarchy of boxes: objects that fill their common box well become a part [Castro 2002, sec. 5.3.1]."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .parts import Part, box_area, faces_in_box
 
 Index = NDArray[np.int64]
 
-#: Sum of the areas of the boxes of objects over that of the box around them all, above which they become a part.
+#: Objects become a part if the sum of the areas of their boxes over the area of their common box is above this.
 THRESHOLD = 0.8
-#: Patches that a box is worth.
+#: Smallest number of patches of a part.
 LEAST = 64
 
 
@@ -36,13 +36,13 @@ class _Item:
 
     low: Array
     high: Array
-    areas: float  # of the boxes of what is grouped
+    areas: float  # sum of the areas of the boxes of its members
     objects: tuple[int, ...]
-    groups: tuple[_Item, ...] = ()  # those of the level below that are inside
-    grows: bool = False  # it was made on this level
+    groups: tuple[_Item, ...] = ()  # groups of the level below inside it
+    grows: bool = False  # whether it was made on this level
 
     def with_(self, other: _Item) -> _Item:
-        """Both in one."""
+        """The group of both items."""
         inner = (item.groups if item.grows else (item,) * (len(item.objects) > 1) for item in (self, other))
         members = tuple(group for groups in inner for group in groups)
         return _Item(
@@ -58,16 +58,15 @@ def grouped(
     least: int = LEAST,
     levels: int = 1,
 ) -> Part:
-    """Patches as a scene of parts, by what object each belongs to.
+    """Patches as a scene of parts, by the object of each patch.
 
-    Groups grow from single objects: the two of them that fill the box around both best, by the sum of the areas of
-    their objects' boxes over the area of that box, become one, until that quotient is at most the ``threshold``. Groups
-    whose boxes overlap become one whatever it is. With several ``levels`` the groups, as objects with their boxes, are
-    grouped again. What then has fewer than ``least`` patches stays in what is around it, as does a group into whose box
-    a wall reaches; an object by itself that has as many is a part, too.
+    Groups grow from single objects: the two groups that best fill their common box are merged, by the quotient of the
+    sum of the areas of their objects' boxes and the area of the common box, until the best quotient is at most the
+    ``threshold``. Groups whose boxes overlap are always merged. With several ``levels`` the groups, as objects with
+    their boxes, are grouped again. A group or object with fewer than ``least`` patches, or into whose box a wall
+    reaches, stays in the part around it. Other single objects are parts, too.
 
-    objects: (n,) the number of the object that each patch belongs to, -1 for walls, which are part of the whole scene
-        only.
+    objects: (n,) the index of the object of each patch, -1 for walls, which belong to the root only.
 
     Raises :class:`RadiosityError` for another number of objects than patches.
     """
@@ -97,7 +96,7 @@ class _Builder:
         self._walls = corners[of[patches.front] < 0]
 
     def scene(self, items: list[_Item]) -> Part:
-        """The root: walls, what is not grouped, and copies of each group."""
+        """The root: walls, objects that are in no part, and copies of the parts."""
         parts, loose = self._boxed(items)
         mine = (self.of < 0) | np.isin(self.of, loose)
         if not mine.any() and self.patches.sky.any():
@@ -108,7 +107,7 @@ class _Builder:
         return self._part(mine, parts, 1, is_root=True)
 
     def _boxed(self, items: list[_Item]) -> tuple[list[Part], list[int]]:
-        """Parts of the items that are worth a box, and objects of the others."""
+        """Parts made of the items with enough patches, and objects of the other items."""
         parts: list[Part] = []
         loose: list[int] = []
         for item in items:
@@ -161,10 +160,10 @@ def _merged(items: list[_Item], threshold: float) -> list[_Item]:
 
 
 class _Pairs:
-    """Quotients of all pairs of items: the sum of the areas of their boxes over that of the box around both, infinite
-    if these overlap. A pair is evaluated once: k items take k^2 evaluations at most, whatever is merged.
+    """Quotients of all pairs of items: the sum of the areas of their boxes over the area of their common box, infinite
+    if the boxes overlap. A pair is evaluated once: k items take at most k^2 evaluations, whatever is merged.
 
-    A merged item takes the place of the second one. ``evaluated``: pairs so far.
+    A merged item takes the place of its second item. ``evaluated``: number of pairs evaluated so far.
     """
 
     def __init__(self, items: list[_Item]) -> None:
@@ -188,7 +187,7 @@ class _Pairs:
         return float(rows[first]), one, other
 
     def merge(self, one: int, other: int) -> None:
-        """Make two items one."""
+        """Merge two items."""
         first, second = self._items[one], self._items[other]
         assert first is not None and second is not None, "only what is left is merged"
         both = self._items[other] = first.with_(second)
@@ -205,7 +204,7 @@ class _Pairs:
         self._partner[better] = other
 
     def left(self) -> list[_Item]:
-        """What there is, the oldest first."""
+        """The remaining items, the oldest first."""
         return [item for k in np.argsort(self._born) if (item := self._items[k]) is not None]
 
     def _evaluate(self, one: int, others: Index) -> None:

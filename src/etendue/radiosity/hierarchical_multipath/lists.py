@@ -1,4 +1,4 @@
-"""The preprocess: lines through every distinct part, kept as lists of what they meet [Castro 2002, sec. 5.3.3]."""
+"""The preprocess: lines through every distinct part, stored as lists of their hits [Castro 2002, sec. 5.3.3]."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from .regions import Regions
 
 Index = NDArray[np.int64]
 
-#: Lines at once.
+#: Number of lines that are cast together.
 _BLOCK = 1 << 15
-#: Points for a part, by its number among the distinct ones.
+#: Points for a part, by its index among the distinct parts.
 PointsOf = Callable[[int], PointSet]
 
 
 class Transmits(Protocol):
-    """What is known of a part around its copies."""
+    """The data of a part that the part around its copies needs."""
 
     @property
     def transmittance(self) -> Array:
-        """(r,) share of the light through each region of its box that meets nothing inside."""
+        """(r,) share of the light through each region of the box that meets nothing inside."""
         ...
 
 
 class PartRays:
-    """A part as compiled loops take it: its primitives in a tree, and the matrices into its copies."""
+    """A part in arrays for the compiled loops: a tree over its primitives, and the matrices into its copies."""
 
     def __init__(self, part: Part) -> None:
         self.part = part
@@ -66,11 +66,12 @@ class PartRays:
 class Lists:
     """Stretches of lines through a part; see :func:`.casting.lists`, which makes them.
 
-    ``ends``: (k, 2), ``begins``: (k + 1,) into ``crossings``: (x, 2), ``None`` without any. ``transmittance``: (r,) of
-    the regions of the part's own box. Lines that end at each patch ``counted`` (n,); of each region of the own box the
-    lines ``through`` (r,), and how many of them meet something, ``hitting`` (r,), in parts where boxes let light pass.
-    Lines through each region of each child: ``child_lines`` (children * r,). ``firsts``: (y, 2) region, and the face
-    that a line which comes in there meets first. ``tests``: of polygons, and of boxes of copies.
+    ``ends``: (k, 2); ``begins``: (k + 1,) into ``crossings``: (x, 2); both ``None`` without crossings.
+    ``transmittance``: (r,) of the regions of the part's own box. ``counted``: (n,) number of stretch ends at each
+    patch. For the regions of the own box: ``through`` (r,), the number of lines, and ``hitting`` (r,), the number of
+    these that hit something, with fractions from boxes that transmit light. ``child_lines``: (children * r,) lines
+    through each region of each child. ``firsts``: (y, 2) region, and the face that a line entering there hits
+    first. ``tests``: numbers of tests of polygons, and of boxes of copies.
     """
 
     part: Part
@@ -96,19 +97,19 @@ class Lists:
 
     @cached_property
     def donors(self) -> Index:
-        """(r,) from which region light goes in that comes to each; see :meth:`Regions.donors`."""
+        """(r,) the region through which the light that arrives at each region enters; see :meth:`Regions.donors`."""
         return self.regions.donors(self.hitting)
 
     @cached_property
     def child_donors(self) -> Index:
-        """(children * r,) from which region of the same child light goes on that comes out of each."""
+        """(children * r,) the region of the same child from which the light that leaves each region continues."""
         rows = self.child_lines.reshape(-1, len(self.regions))
         found = [self.regions.donors(row.astype(float)) + k * len(self.regions) for k, row in enumerate(rows)]
         return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
 
     @cached_property
     def polygons(self) -> dict[int, Index]:
-        """Faces associated with each region, that met first by the most lines first."""
+        """Faces associated with each region, in descending order of the number of lines that hit them first."""
         if len(self.firsts) == 0:
             return {}
         pairs, count = np.unique(self.firsts, axis=0, return_counts=True)
@@ -120,10 +121,10 @@ class Lists:
 def preprocess(
     rays: Mapping[Part, PartRays], root: Part, lines: Mapping[Part, int], regions: Regions, points: PointsOf, first: int
 ) -> dict[Part, Lists]:
-    """Lists of ``lines`` of every distinct part, the inner ones first: their transmittances are needed around them.
+    """Lists of ``lines`` of every distinct part, inner parts first: the parts around them need their transmittances.
 
-    ``first``: the first point of each pass, in units of its number of lines. Raises :class:`RadiosityError` for a line
-    that meets too much, and for a copy that no line of what is around it crosses.
+    ``first``: index of the first point of each part, in units of its number of lines. Raises :class:`RadiosityError`
+    for a line with too many hits, and for a copy that no line of the part around it crosses.
     """
     made: dict[Part, Lists] = {}
     for number, part in enumerate(root.distinct):
@@ -141,8 +142,8 @@ def lists_of(
     points: PointSet,
     first: int,
 ) -> Lists:
-    """Lists of ``count`` lines of one part, by points from ``first`` on. ``inner``: of the parts of its copies. Errors
-    as :func:`preprocess`."""
+    """Lists of ``count`` lines of one part, by points from ``first`` on. ``inner``: data of the parts of its copies.
+    Raises the errors of :func:`preprocess`."""
     part, n = rays.part, len(rays.part)
     transmittances = np.array([inner[child].transmittance for child, _ in part.children]).ravel()
     resolution = np.array([regions.grid, regions.around, regions.up, n])

@@ -1,4 +1,4 @@
-"""Hierarchical multipath in passes, for what drives methods: budgets, progress, checkpoints, stops."""
+"""Hierarchical multipath in passes, as a method of the engine."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from .parts import Part, Tree
 from .regions import Regions
 from .solution import HierarchicalSolution
 
-#: Lines that a pass has by itself: for each patch of distinct parts, and for each region of a box.
+#: Default number of lines of a pass: for each patch of distinct parts, and for each region of a box.
 _LINES_PER_PATCH, _LINES_PER_REGION = 16, 2
-#: The fewest.
+#: Smallest default number of lines of a pass.
 _FEWEST = 1 << 14
-#: Bytes of a line of the whole scene and of a part inside, as measured in rooms and halls.
+#: Bytes of a line of the whole scene and of an inner part, measured in rooms and halls.
 BYTES_OUTSIDE, BYTES_INSIDE = 40, 12
-#: Least passes before an error is estimated.
+#: Smallest number of passes from which an error is estimated.
 _LEAST_PASSES = 8
-#: Share of the light that may be on its way at the end without a warning.
+#: Share of the light that may be unshot at the end without a warning.
 _MUCH = 0.05
 
 #: Makes points of four dimensions for a purpose and a seed.
@@ -72,13 +72,13 @@ class HierarchicalMultipathSettings(AnySettings):
 
     @property
     def regions(self) -> Regions:
-        """Of each box."""
+        """The regions of each box."""
         return Regions(self.grid, self.sectors, self.rings)
 
 
 @dataclass(frozen=True)
 class PartProblem:
-    """A scene of parts as what a job works on. ``source`` says where it is from."""
+    """A scene of parts as the problem of a job. ``source`` is the name of its source."""
 
     root: Part
     source: str = "<parts>"
@@ -100,16 +100,16 @@ class HierarchicalMultipath:
     """Multipath through a scene of parts, whose copies share their lines [Castro 2002, ch. 5]; implements
     ``core.Method``.
 
-    Each pass is a whole solution: lines are cast through every distinct part and through what is around the copies, and
-    stored; a first shot sends the emission to patches; power is exchanged along the stored lines, from the root down,
-    until little is on its way. The mean of passes has the noise of all of them, their scatter tells it, and memory is
-    that of one. A sample of a budget is a line, N of them a pass; its error the *square* of the standard error of the
-    irradiance, mean over the surface in units of its mean, by the scatter of the passes.
+    Each pass is a whole solution. Lines are cast through every distinct part, including the root, and stored. A first
+    shot sends the emission to patches. Power is then exchanged along the stored lines, from the root down, until little
+    of it is unshot. The solution is the mean of the passes; their variance gives its error. Only one pass is in memory.
+    A sample of a budget is a line; a pass has N of them. The error is the *square* of the standard error of the
+    irradiance, averaged over the surface, relative to the mean irradiance, from the variance of the passes.
 
     Light that crosses a box is known by region of the box only: see :class:`Regions`. This bias does not fall with more
-    lines, but with finer regions, which take more lines.
+    lines, but with finer regions, which need more lines.
 
-    settings: see :class:`HierarchicalMultipathSettings`. points: what draws lines and rays.
+    settings: see :class:`HierarchicalMultipathSettings`. points: makes the points of lines and rays.
     """
 
     name: ClassVar[str] = "hierarchical-multipath"
@@ -119,7 +119,7 @@ class HierarchicalMultipath:
 
     def __init__(self, settings: HierarchicalMultipathSettings | None = None, points: MakePoints = even_points) -> None:
         self._options = settings or HierarchicalMultipathSettings()
-        #: With the lines of a pass, once :meth:`prepare` has chosen them: they decide what passes are.
+        #: Including the number of lines of a pass once :meth:`prepare` has chosen it, since it determines the passes.
         self.settings: AnySettings = self._options
         self._points = points
 
@@ -129,8 +129,8 @@ class HierarchicalMultipath:
         return self._options.lines
 
     def prepare(self, problem: PartProblem, seed: int) -> None:
-        """Make ready for rays. Raises :class:`RadiosityError` if nothing emits, and if memory does not hold the lists
-        and the power of all patches."""
+        """Build the arrays for ray casting. Raises :class:`RadiosityError` if nothing emits, and if the lists and the
+        power of all patches do not fit into memory."""
         self.root, self._seed = problem.root, seed
         self.tree = Tree(problem.root)
         emits = [part.patches is not None and bool(part.patches.emission.any()) for part in self.tree.parts]
@@ -146,14 +146,14 @@ class HierarchicalMultipath:
         self._shots = FirstShots(self.tree, self._rays) if self._options.shot and any(emits) else None
 
     def start(self) -> State:
-        """See ``core.Method``: passes carry nothing on."""
+        """See ``core.Method``: there is no state."""
         return {}
 
     def enter(self, state: State) -> None:
         """See ``core.Method``."""
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
-        """A solution by new lines."""
+        """A solution with new lines."""
         if seed != self._seed:
             raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
         options = self._options
@@ -168,7 +168,7 @@ class HierarchicalMultipath:
         return Pass(self._measured(iteration, sums, left, 0 if shot is None else shot.rays, nbytes), state)
 
     def _first_shot(self, iteration: int) -> Shot | None:
-        """The emission of a pass as patches receive it; ``None`` if lines transport it."""
+        """The first shot of a pass; ``None`` if lines transport the emission."""
         if self._shots is None:
             return None
         options, seed = self._options, self._seed
@@ -178,7 +178,7 @@ class HierarchicalMultipath:
     def _measured(
         self, iteration: int, sums: dict[str, Array], left: float, shot_rays: int, nbytes: int
     ) -> Measurement:
-        """A pass of which the share ``left`` of the light is on its way, and whose lists took so many bytes."""
+        """The measurement of a pass. ``left``: share of the light that is unshot. ``nbytes``: size of the lists."""
         if left > _MUCH:
             logger.warning(
                 "%.0f %% of the light is still on its way after %d iterations: set more of these, or more lines",
@@ -212,12 +212,12 @@ class HierarchicalMultipath:
         return HierarchicalSolution(tree=self.tree, error=error, **means)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """No picture: only how much was cast."""
+        """No picture, only the numbers of lines and rays."""
         lines = self.samples_per_iteration * len(measurement.iterations)
         return Result({}, {"lines": lines, "rays": int(measurement.counters["rays"])})
 
     def noise(self, measurement: Measurement) -> float | None:
-        """Square of the standard error of the irradiance; ``None`` while it is not known."""
+        """Square of the relative standard error of the irradiance; ``None`` for fewer than 8 passes."""
         if len(measurement.iterations) < _LEAST_PASSES:
             return None
         light = measurement.mean("received").sum()
@@ -225,7 +225,7 @@ class HierarchicalMultipath:
         return float((error / light) ** 2) if light > 0 else None
 
     def _enough(self) -> int:
-        """Lines of a pass that suit the scene: some for every distinct patch, and for every region of every box."""
+        """Default lines of a pass: some for every patch of distinct parts, and for every region of every box."""
         options, regions = self._options, len(self._options.regions)
         patches = sum(map(len, self.tree.parts))
         need = [_FEWEST, _LINES_PER_PATCH * patches]
@@ -240,7 +240,7 @@ class HierarchicalMultipath:
         return part.objects / sum(p.objects for p in self.tree.parts if p is not self.root)
 
     def _shared_out(self) -> dict[Part, int]:
-        """Lines of each distinct part."""
+        """Number of lines of each distinct part."""
         options = self._options
         shares = {
             part: options.top if part is self.root else options.inside * self._share(part) for part in self.tree.parts
@@ -259,11 +259,11 @@ def check_memory(
     channels: int,
     tables: int = 2,
 ) -> None:
-    """Raise :class:`RadiosityError` if memory does not hold the lists of so many lines of each part, the power of
-    ``patches``, and ``tables`` of the power at the regions of so many ``boxes``."""
+    """Raise :class:`RadiosityError` if memory does not hold the lists of ``lines`` of each part, the power of
+    ``patches``, and ``tables`` arrays of the power at the regions of ``boxes``."""
     lists = sum((BYTES_OUTSIDE if part.children else BYTES_INSIDE) * n for part, n in lines.items())
-    # Received and unshot power; their sum, squares, and the same again where passes are added up. What waits at
-    # boxes, on the way in and on the way out.
+    # Six arrays by patch: received and unshot power; sums and squares of a pass, and those of all passes. Two of the
+    # tables by region of a box: the power that waits to enter and to leave.
     regions = len(options.regions) * boxes
     power = 8 * (6 * patches + tables * regions) * channels
     free = free_memory()

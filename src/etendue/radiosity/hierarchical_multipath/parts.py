@@ -1,4 +1,4 @@
-"""Scenes made of parts: patches in coordinates of their own, and placed copies of further parts among them."""
+"""Scenes made of parts: a part has patches in its own coordinates, and placed copies of other parts."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from ..errors import RadiosityError
 
 Index = NDArray[np.int64]
 
-#: Least thickness of a box, in its diagonals: that of a part which is flat.
+#: Smallest thickness of a box, in units of its diagonal: flat parts get this thickness.
 _THICKNESS = 1e-3
 #: Accepted deviation of a transform from a similarity, relative to its scale.
 _SIMILAR = 1e-5
-#: Depth to which boxes may reach into each other, in the diagonals of the smaller: rounding of coordinates.
+#: Depth to which boxes may overlap because of rounding, in diagonals of the smaller box.
 _TOUCH = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class Copies:
-    """Placed copies of one part. ``transforms``: (k, 4, 4), from coordinates of the part to those of what contains the
-    copies; rotations, reflections, shifts and one scale for all axes."""
+    """Placed copies of one part. ``transforms``: (k, 4, 4), from coordinates of the part to those of the part that
+    contains the copies; rotations, reflections, translations and uniform scaling."""
 
     part: Part
     transforms: Array
@@ -38,15 +38,15 @@ class Part:
 
     patches: in coordinates of the part; ``None`` for a part that has copies only.
     copies: pairs of a part and the transforms (k, 4, 4) or (4, 4) of its copies.
-    numbers: (n,) what the patches are called elsewhere, by default their own indices.
-    objects: how many objects a part counts as where lines are shared out.
+    numbers: (n,) indices of the patches in the mesh that the parts were made of, by default their own indices.
+    objects: number of objects of the part, by which lines are distributed over parts.
 
-    The box of a part is the smallest one along the axes of its own coordinates. Boxes of copies in one part must not
-    overlap, and none of its own patches may reach into them; they may touch. Only then is what is in a box all that
-    light in it meets.
+    The box of a part is its bounding box along the axes of its own coordinates. Boxes of copies in one part must not
+    overlap, and none of its own patches may reach into them; they may touch. Only then does light inside a box meet
+    nothing but the contents of the box.
 
-    Raises :class:`RadiosityError` for a transform that is no similarity, another number of channels than that of other
-    parts, a sky in a part inside, and boxes that overlap.
+    Raises :class:`RadiosityError` for a transform that is no similarity, different numbers of channels, a sky in an
+    inner part, boxes that overlap, own patches that reach into a box, and a part without patches and copies.
     """
 
     def __init__(
@@ -86,12 +86,12 @@ class Part:
 
     @cached_property
     def total(self) -> int:
-        """Patches, those of all copies included."""
+        """Number of patches, including those of all copies."""
         return len(self) + sum(len(copy.transforms) * copy.part.total for copy in self.copies)
 
     @cached_property
     def distinct(self) -> list[Part]:
-        """This part and all inside, each once, the inner ones first."""
+        """This part and all parts inside, each once, inner parts first."""
         found: dict[int, Part] = {}
         for copy in self.copies:
             found |= {id(part): part for part in copy.part.distinct}
@@ -113,8 +113,7 @@ class Part:
         return box_area(*self.bounds)
 
     def joined(self) -> Patches:
-        """All patches of all copies in one mesh, copy by copy as :class:`Tree` numbers them: for small scenes, and for
-        comparisons."""
+        """All patches of all copies in one mesh, see :meth:`Tree.joined`: for small scenes, and for comparisons."""
         return Tree(self).joined()
 
     def _check_boxes(self) -> None:
@@ -147,9 +146,9 @@ class Part:
 class Tree:
     """Every copy in a scene as a node, the root first, the children of a node next to each other.
 
-    ``parts``: distinct ones, inner ones first; ``part``: (m,) of each node the number of its part; ``first``: (m,) its
-    first child; ``world``: (m, 4, 4) its place in the scene; ``scale``: (m,); ``rank``: (m,) which copy of its part it
-    is; ``nodes``: of each part its nodes; ``levels``: ranges of nodes, from the root down.
+    ``parts``: the distinct parts, inner parts first. For each node: ``part`` (m,), the index of its part; ``first``
+    (m,), its first child; ``world`` (m, 4, 4), its transform to the scene; ``scale`` (m,); ``rank`` (m,), its index
+    among the copies of its part. ``nodes``: the nodes of each part; ``levels``: ranges of nodes, from the root down.
     """
 
     def __init__(self, root: Part) -> None:
@@ -181,19 +180,19 @@ class Tree:
 
     @cached_property
     def offsets(self) -> Index:
-        """(m + 1,) where the patches of each node begin, node by node."""
+        """(m + 1,) index of the first patch of each node, if patches are counted node by node."""
         sizes = np.array([len(part) for part in self.parts])
         result: Index = np.concatenate([[0], np.cumsum(sizes[self.part])])
         return result
 
     def areas(self, node: int) -> Array:
-        """(n,) of the patches of a node, in the scene."""
+        """(n,) areas of the patches of a node, in the scene."""
         patches = self.parts[self.part[node]].patches
         return np.zeros(0) if patches is None else patches.areas * self.scale[node] ** 2
 
     def joined(self) -> Patches:
-        """All patches in one mesh, node by node. Sheets keep their backs behind them: patches seen from the front come
-        first in :class:`Patches`, so ``numbers_in_joined`` says where those of a node are."""
+        """All patches in one mesh: the fronts node by node, then the backs of sheets, as in :class:`Patches`. See
+        ``numbers_in_joined`` for the indices of the patches of a node."""
         meshes, values = [], []
         vertices = 0
         for node in range(len(self)):
@@ -243,7 +242,7 @@ class Tree:
 
 
 def part_boxes(root: Part) -> tuple[Index, Array]:
-    """(level, corners) of the box of every copy, the root first: (m,), (m, 8, 3) in the scene. Corner k has the upper
+    """(level, corners) of the box of every copy, the root first: (m,), (m, 8, 3) in the scene. Corner k is at the upper
     end of the axes whose bits are set in k."""
     tree = Tree(root)
     level = np.concatenate([np.full(len(nodes), k) for k, nodes in enumerate(tree.levels)])
@@ -258,8 +257,8 @@ def box_area(low: Array, high: Array) -> float:
 
 
 def faces_in_box(corners: Array, centre: Array, axes: Array) -> NDArray[np.bool_]:
-    """(f,) whether faces (f, 4, 3) reach into a box given by its centre and half its edges, rows of ``axes``, by
-    separating axes; those that touch it do not."""
+    """(f,) whether faces (f, 4, 3) reach into a box, by separating axes; faces that only touch it do not. The box is
+    given by its centre and its half edges, the rows of ``axes``."""
     if len(corners) == 0:
         return np.zeros(0, dtype=bool)
     edges = corners - np.roll(corners, 1, axis=1)
@@ -305,7 +304,7 @@ def _placed(points: Array, transform: Array) -> Array:
 
 
 def _turned(faces: Index, transform: Array) -> Index:
-    """Faces that look to the same side after a reflection."""
+    """Faces with corners reordered after a reflection, so that their fronts stay fronts."""
     if np.linalg.det(transform[:3, :3]) > 0:
         return faces
     triangle = faces[:, 2] == faces[:, 3]
@@ -313,13 +312,13 @@ def _turned(faces: Index, transform: Array) -> Index:
 
 
 def _oriented(part: Part, transform: Array) -> tuple[Array, Array]:
-    """Centre of the box of a copy, and half its edges as rows."""
+    """Centre of the box of a copy, and its half edges as rows."""
     low, high = part.bounds
     return _placed((low + high) / 2, transform), (transform[:3, :3] * (high - low) / 2).T
 
 
 def _overlap(centre: Array, axes: Array, other_centre: Array, other_axes: Array) -> bool:
-    """Whether boxes have more than a touch in common, by separating axes."""
+    """Whether boxes overlap by more than rounding, by separating axes."""
     way = other_centre - centre
     ways = [*axes, *other_axes, *(np.cross(a, b) for a in axes for b in other_axes)]
     slack = _TOUCH * 2 * min(np.sqrt((axes**2).sum()), np.sqrt((other_axes**2).sum()))

@@ -1,4 +1,4 @@
-"""Loops compiled by Numba of a caster without a tree, which counts its tests of polygons."""
+"""Loops compiled by Numba for a ray caster without a tree that counts its tests of polygons."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def first_hits(
 ) -> Any:
     """The first face that each ray meets: ``hits`` (k, 2), scene node and face of its part or -1, and ``distance``.
 
-    Of node m the faces are those from ``first_face[m, 0]`` to ``first_face[m, 1]`` of all, in its own coordinates. With
-    ``uses_boxes`` those in a box that a ray misses are left out. Of the others only the ``items`` of the region where
-    the ray comes in, from ``starts[first_face[m, 2] + region]`` on, are tested, if there are lists (``starts``). With
-    ``trusts``, a hit on one of them counts as the first in the box, and all faces are tested where there is none.
-    Returns the numbers of tests of polygons and of boxes.
+    Node m has the faces from ``first_face[m, 0]`` to ``first_face[m, 1]``, in its own coordinates. With ``uses_boxes``,
+    faces in a box that a ray misses are skipped. If there are lists (``starts``), only the ``items`` of the region
+    where the ray enters are tested, from ``starts[first_face[m, 2] + region]`` on. With ``trusts``, a hit on one of
+    the items counts as the first in the box; all faces are tested if no item is hit. Returns the numbers of tests of
+    polygons and of boxes.
     """
     o, d, inverse = np.empty(3), np.empty(3), np.empty(3)
     tests, box_tests = 0, 0
@@ -50,7 +50,7 @@ def first_hits(
                 near, far = slab(boxes[m], o, inverse)
                 if near > far or far < 0:
                     continue
-                # A ray that begins inside came through no region.
+                # A ray that begins inside the box has no region.
                 is_listed = len(starts) > 0 and near > 0
                 if is_listed:
                     grid, around, up = resolution[0], resolution[1], resolution[2]
@@ -77,7 +77,7 @@ def first_hits(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def line_tests(origins: Any, directions: Any, matrices: Any, first_face: Any, boxes: Any) -> Any:
-    """Tests of polygons that all hits of lines take, where those in boxes that a line misses are left out."""
+    """Number of polygon tests that find all hits of lines, without polygons in boxes that a line misses."""
     o, d, inverse = np.empty(3), np.empty(3), np.empty(3)
     tests = 0
     for k in range(len(origins)):

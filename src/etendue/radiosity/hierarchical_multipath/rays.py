@@ -1,9 +1,9 @@
 """Loops compiled by Numba for the first shot: rays through a tree of parts, down into copies.
 
-A *world* is a tuple of arrays in which those of all parts follow each other: corners and links of the nodes of their
-trees, primitives (a face, or -1 - c for copy c), corners and normals of faces, and of copies the matrix (3, 4) into
-their coordinates, the root of their tree, and their number among their siblings; last the first child of each scene
-node.
+A *world* is a tuple of arrays, each with the data of all parts one after the other. For nodes of the trees: corners and
+links; primitives (a face, or -1 - c for copy c). For faces: corners and normals. For copies: the matrix (3, 4) into
+their coordinates, the root of their tree, and their index among their siblings. The last array has the first child of
+each scene node.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from .casting import enter, meets, slab
 
 #: Places on the stack of a ray.
 _STACK = 2048
-#: Patches that draw lamps by the same weights.
+#: Number of successive patches that sample lamps by the same weights.
 _TOGETHER = 64
-#: Ends of a ray between two surfaces that are left out, as parts of its length; first part of a ray that leaves one, in
-#: sizes of the scene.
+#: Length that is skipped at both ends of a ray between two surfaces, relative to its length, and at the origin of other
+#: rays, relative to the size of the scene.
 _END = 1e-7
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def trace(world: Any, root: Any, o: Any, d: Any, least: Any, most: Any, is_any: Any, room: Any) -> Any:
-    """The first face that a ray meets between two distances, or any: scene node, face (-1 for none) and distance.
+    """The first face that a ray meets at distances from ``least`` to ``most``, or with ``is_any`` any face: scene node,
+    face (-1 for none) and distance.
 
-    ``room``: arrays to work in, see :func:`space`.
+    ``room``: work arrays, see :func:`space`.
     """
     corners, links, order, faces, normals, matrices, roots, ranks, first = world
     frames, frame_node, stack = room
@@ -76,13 +77,13 @@ def trace(world: Any, root: Any, o: Any, d: Any, least: Any, most: Any, is_any: 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def space(nodes: Any) -> Any:
-    """What :func:`trace` works in, for a scene of so many nodes: a ray comes into each once at most."""
+    """Work arrays of :func:`trace` for a scene of ``nodes`` nodes; a ray enters each node at most once."""
     return np.empty((nodes + 1, 2, 3)), np.empty(nodes + 1, np.int64), np.empty((_STACK, 2), np.int64)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _hashed(a: Any, b: Any, c: Any) -> Any:
-    """A number in [0, 1) that belongs to three whole ones (splitmix64)."""
+    """A number in [0, 1), the hash of three integers (splitmix64)."""
     x = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b) * np.uint64(0xC2B2AE3D27D4EB4F) + np.uint64(c)
     for _ in range(2):
         x += np.uint64(0x9E3779B97F4A7C15)
@@ -102,7 +103,8 @@ def _point(corners: Any, u: Any, v: Any, out: Any) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _sample(edges: Any, first: Any, end: Any, u: Any) -> Any:
-    """Which of the intervals between ascending ``edges`` holds the share u, and what is left of u within it."""
+    """The interval between ascending ``edges`` that contains the share u of their range, and the position in it, in
+    [0, 1)."""
     place = edges[first] + u * (edges[end] - edges[first])
     k = min(max(np.searchsorted(edges[first : end + 1], place, side="right") - 1 + first, first), end - 1)
     width = edges[k + 1] - edges[k]
@@ -129,12 +131,12 @@ def aim(
     limit: Any,
     received: Any,
 ) -> None:
-    """Add to ``received`` (n, c) what the patches of a node get from the lamps, by rays between points of both.
+    """Add to ``received`` (n, c) the light of lamps on the patches of a node, by rays between points of both.
 
-    ``triangles`` (s, 3, 3), their ``normals`` and cumulated areas ``edges``, ``starts`` (n + 1,) of each patch, in
-    coordinates of the part; ``lamps`` (l, 3, 3) in those of the scene, ``lamp_edges`` their cumulated power, which has
-    the ``colours`` (l, c). ``points`` (k, 4) are moved from patch to patch. Shares above ``limit`` are left out. Near
-    lamps get the most rays: patches that follow each other draw them by power over squared distance.
+    In coordinates of the part: ``triangles`` (s, 3, 3), their ``normals`` and cumulative areas ``edges``; ``starts``
+    (n + 1,), the first triangle of each patch. In coordinates of the scene: ``lamps`` (l, 3, 3), their cumulative power
+    ``lamp_edges`` and ``colours`` (l, c). ``points`` (k, 4) are shifted for each patch. Shares above ``limit`` are left
+    out. Lamps are sampled by power over squared distance, with the same weights for successive patches.
     """
     room = space(len(world[8]))
     target, lamp, way, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -181,8 +183,9 @@ def aim(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _weigh(triangles: Any, matrix: Any, lamps: Any, lamp_edges: Any, chosen: Any) -> None:
-    """Cumulated weights of lamps for some triangles of a part: power over the squared distance of their middle, but at
-    least that of their extent; a tenth by power alone, for what this misjudges."""
+    """Cumulative weights of lamps for some triangles of a part: power over the squared distance from the middle of the
+    triangles, or over their squared extent if that is larger. A tenth of the weight is by power alone, in case the
+    distance underestimates a lamp."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for k in range(len(triangles)):
         for i in range(3):
@@ -221,10 +224,12 @@ def shoot(
     points: Any,
     limit: Any,
 ) -> Any:
-    """Where rays from the lamps by the cosine law arrive, one for each of the ``points`` (k, 4): scene node (-1 for the
-    sky), patch (-1 for the back of a face), and lamp; node -2 for what :func:`aim` counts, by shares up to ``limit``.
+    """Cast rays from the lamps by the cosine law, one for each of the ``points`` (k, 4). Returns (k, 3): scene node (-1
+    for the sky), patch (-1 for the back of a face), and lamp. The node is -2 for light that :func:`aim` counts, which
+    has a share of at most ``limit``.
 
-    ``sides`` (f, 2): patches of faces, -1 for none; ``face_areas`` (f,): the area of the patch in front and behind."""
+    ``sides`` (f, 2): patches of faces, -1 for none; ``face_areas`` (f, 2): areas of these patches; ``scales`` (m, 3,
+    3): linear part of the transform from the scene into each node."""
     room = space(len(world[8]))
     found = np.empty((len(points), 3), np.int64)
     origin, way, across = np.empty(3), np.empty(3), np.empty(3)
@@ -232,7 +237,7 @@ def shoot(
         lamp, rest = _sample(lamp_edges, 0, len(lamps), points[k, 0])
         _point(lamps[lamp], rest, points[k, 1], origin)
         normal = lamp_normals[lamp]
-        # A point of the unit sphere around the end of the normal has the cosine law.
+        # The direction to a uniform point of the unit sphere around the tip of the normal has cosine density.
         z, angle = 1 - 2 * points[k, 2], 2 * np.pi * points[k, 3]
         r = np.sqrt(max(1 - z * z, 0.0))
         across[0], across[1], across[2] = r * np.cos(angle), r * np.sin(angle), z
@@ -250,7 +255,7 @@ def shoot(
         if face < 0:
             continue
         found[k, 0] = node
-        # The normal in the coordinates of the part, as is the direction that trace left.
+        # The normal is in coordinates of the part, so the direction is transformed into them.
         along, square = 0.0, 0.0
         for a in range(3):
             inner = 0.0

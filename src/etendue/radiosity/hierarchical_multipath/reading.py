@@ -1,4 +1,4 @@
-"""Scenes of parts, from what users have: patches and their objects, Mitsuba scenes with instances."""
+"""Scenes of parts from patches with objects, and from Mitsuba scenes with instances."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ def part_of(
 
 
 def scene_part(scene: Any, *, max_area: float | None = None) -> Part | None:
-    """A Mitsuba scene with instances as a scene of parts, each shape group one of them; ``None`` for a scene without.
+    """A Mitsuba scene with instances as a scene of parts, one part per shape group; ``None`` for a scene without
+    instances.
 
-    Raises as :func:`scene_parts` and :class:`Part` do.
+    Raises the errors of :func:`scene_parts` and :class:`Part`.
     """
     if not has_instances(scene):
         return None
@@ -31,9 +32,9 @@ def scene_part(scene: Any, *, max_area: float | None = None) -> Part | None:
 
 
 def instanced_patches(scene: Any, *, max_area: float | None = None) -> Patches:
-    """:func:`scene_patches` of a scene that may have instances: all of them in one mesh, each of them a shape.
+    """:func:`scene_patches` of a scene that may have instances: all patches in one mesh, each instance a shape.
 
-    Raises as :func:`scene_patches` and :func:`scene_part` do.
+    Raises the errors of :func:`scene_patches` and :func:`scene_part`.
     """
     root = scene_part(scene, max_area=max_area)
     if root is None:

@@ -1,4 +1,4 @@
-"""A caster without a tree that counts its tests of polygons: what a hierarchy saves, whatever the ray caster is."""
+"""A ray caster without a tree that counts its tests of polygons, to show how many tests a hierarchy of boxes saves."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .regions import Regions
 Index = NDArray[np.int64]
 How = Literal["all", "boxes", "conservative", "listed"]
 
-#: Polygons associated with a region, at most, where a hit on one of them is trusted.
+#: Largest number of polygons associated with a region in the mode ``listed``.
 MOST_LISTED = 24
 
 
 @dataclass(frozen=True)
 class PlainHits:
-    """``hits``: (k, 2) scene node and face of its part, -1 without a hit; ``distance``: (k,). ``tests``: of polygons,
-    and ``box_tests``."""
+    """``hits``: (k, 2) scene node and face of its part, -1 without a hit; ``distance``: (k,). ``tests``: number of
+    polygon tests, ``box_tests``: of box tests."""
 
     hits: Index
     distance: Array
@@ -37,7 +37,7 @@ class PlainHits:
 class PlainCaster:
     """Rays and lines against the polygons of a scene of parts, one by one.
 
-    lists: the preprocess, for polygons associated with regions.
+    lists: the preprocess, which associates polygons with regions.
     """
 
     def __init__(self, tree: Tree, rays: Mapping[Part, PartRays], lists: Mapping[Part, Lists] | None = None) -> None:
@@ -58,10 +58,10 @@ class PlainCaster:
 
         ================ ============================================================================================
         ``all``          every polygon is tested
-        ``boxes``        those of a copy only where the ray meets its box
-        ``conservative`` of these, all that a ray through the same region of the box may meet: exact
-        ``listed``       those that lines of the preprocess met first behind the region; the nearest of them counts as
-                         the first in the box, though one that is not listed may be nearer; all where none is met
+        ``boxes``        polygons of a copy are tested only if the ray meets its box
+        ``conservative`` in a box, only polygons that rays through the region where the ray enters may meet: exact
+        ``listed``       in a box, polygons that lines of the preprocess met first behind the region; the nearest hit
+                         counts as the first in the box, though an unlisted polygon may be nearer; all if none is hit
         ================ ============================================================================================
         """
         starts, items = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -76,14 +76,14 @@ class PlainCaster:
         return PlainHits(hits, distance, *tests)
 
     def line_tests(self, origins: Array, directions: Array, how: Literal["all", "boxes", "top"] = "all") -> int:
-        """Tests of polygons to find all hits of lines; ``top``: past the boxes of copies, whose inside is skipped."""
+        """Number of polygon tests that find all hits of lines; ``top``: only of the root, without the copies."""
         if how == "boxes":
             return int(_loops().line_tests(origins, directions, self._matrices, self._first, self._boxes))
         nodes = slice(None) if how == "all" else slice(0, 1)
         return int((self._first[nodes, 1] - self._first[nodes, 0]).sum()) * len(origins)
 
     def _polygons(self, how: How) -> tuple[Index, Index]:
-        """Faces by part and region, and where those of each begin."""
+        """First indices into the faces for each part and region, and the faces."""
         found: list[Index] = []
         for k, part in enumerate(self.tree.parts):
             if how == "conservative":
@@ -96,9 +96,10 @@ class PlainCaster:
 
 
 def beams(faces: Array, box: Array, regions: Regions) -> list[Index]:
-    """For each region of a box (2, 3) the faces (f, 4, 3) that a ray which comes in there may meet, and a few more.
+    """For each region of a box (2, 3) the indices of the faces (f, 4, 3) that rays entering there may meet, and a few
+    more.
 
-    Such rays are in the half-spaces that bound the beam of the region: what is outside one of them is met by none.
+    These rays lie in the half-spaces that bound the beam of the region: they miss faces outside any half-space.
     """
     found: list[Index] = []
     size = np.linalg.norm(box[1] - box[0])
@@ -121,8 +122,8 @@ def beams(faces: Array, box: Array, regions: Regions) -> list[Index]:
 
 
 def _bounds(ring: int, sector: int, regions: Regions) -> list[tuple[Array, float]]:
-    """Directions across the axis of a face, and how fast rays through a region advance along each with depth, at
-    most."""
+    """Directions perpendicular to the axis of a face, and for each the largest advance per depth of rays through a
+    region."""
     width = 2 * np.pi / regions.around
     middle = (sector + 0.5) * width
     slowest = np.sqrt(ring / max(regions.up - ring, 1e-300))

@@ -1,4 +1,4 @@
-"""Regions of a virtual box: by face, place on it and direction, the light through them is taken together."""
+"""Regions of a virtual box, by face, place on the face and direction; the light through a region is summed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Index = NDArray[np.int64]
 @dataclass(frozen=True)
 class Regions:
     """``grid`` x ``grid`` places on each of the six faces of a box, each with ``around`` sectors times ``up`` rings of
-    directions, all of which a uniform density of lines crosses equally often. The thesis has 4 x 4 places and 8
+    directions. Lines of uniform density cross all regions of a face equally often. The thesis has 4 x 4 places and 8
     directions, 768 regions in all [Castro 2002, sec. 5.3.2]."""
 
     grid: int = 4
@@ -37,7 +37,7 @@ class Regions:
         return int(np.prod(self.shape))
 
     def neighbours(self) -> Index:
-        """(r, 8) of each region: those beside it on the face and in direction; itself where there is none."""
+        """(r, 8) the neighbours of each region in place on its face and in direction; the region itself at a border."""
         own = np.arange(len(self)).reshape(self.shape)
         found = []
         for axis, wraps in ((1, False), (2, False), (3, False), (4, True)):
@@ -51,8 +51,8 @@ class Regions:
         return np.stack(found, axis=1)
 
     def interpolated(self, values: Array, known: NDArray[np.bool_]) -> Array:
-        """(r,) the values that are known; elsewhere the mean of neighbours, which spreads until all have one. On a face
-        where nothing is known: the mean of the box; 1 if nothing is known at all."""
+        """(r,) ``values`` where they are ``known``; elsewhere the mean of neighbours, repeated until all regions have a
+        value. On a face without known values: the mean of the box; 1 if no value is known."""
         result, known = np.where(known, values, 0.0), known.copy()
         around = self.neighbours()
         while not known.all():
@@ -67,8 +67,9 @@ class Regions:
         return result
 
     def donors(self, weights: Array) -> Index:
-        """(r,) where light of each region goes: to itself if its weight is above zero, else to the nearest region that
-        has one, and of several to the heaviest; to the heaviest of the box from a face without any."""
+        """(r,) the region that takes the light of each region: itself if its weight is above zero, else the nearest
+        region of positive weight, the one of largest weight among several; on a face without any, the region of largest
+        weight of the box."""
         own = np.arange(len(self))
         target = np.where(weights > 0, own, -1)
         if not (weights > 0).any():

@@ -19,9 +19,9 @@ from .parts import Tree
 class HierarchicalSolution:
     """Radiosities in a scene of parts, by copies.
 
-    Power (c,): ``sent``, the emission and what came from the sky; ``absorbed``, ``to_sky``, ``lost`` to backs of faces,
-    and ``residual``, on its way. ``received``: (patches, c) power, node by node as in ``tree``; ``error``: its standard
-    error, ``None`` for a single pass.
+    Power (c,): ``sent``, the emission and the light from the sky; ``absorbed``, ``to_sky``, ``lost`` to backs of faces,
+    and ``residual``, still unshot. ``received``: (patches, c) power, node by node as in ``tree``; ``error``: its
+    standard error, ``None`` for a single pass.
     """
 
     tree: Tree
@@ -35,28 +35,28 @@ class HierarchicalSolution:
 
     @property
     def imbalance(self) -> float:
-        """Difference of input and output power, relative to the input, see :class:`Solution`: what was lost to backs of
-        faces, and what is on its way."""
+        """Difference of input and output power, relative to the input, see :class:`Solution`: the power lost to backs
+        of faces, and the residual."""
         gone = self.absorbed + self.to_sky
         return float(np.abs(self.sent - gone).sum() / max(self.sent.sum(), 1e-300))
 
     def irradiance(self, node: int) -> Array:
-        """(n, c) of a node."""
+        """(n, c) irradiance of the patches of a node."""
         return self._rows(self.received, node) / self.tree.areas(node)[:, None]
 
     def irradiance_error(self, node: int) -> Array | None:
-        """Its standard error."""
+        """(n, c) standard error of :meth:`irradiance`; ``None`` for a single pass."""
         return None if self.error is None else self._rows(self.error, node) / self.tree.areas(node)[:, None]
 
     def radiosity(self, node: int) -> Array:
-        """(n, c) of a node."""
+        """(n, c) radiosity of the patches of a node."""
         patches = self.tree.parts[self.tree.part[node]].patches
         assert patches is not None, "the part has no patches of its own"
         return patches.emission + patches.reflectance * self.irradiance(node)
 
     def irradiance_on(self, patches: Patches, joined: bool = False) -> tuple[Array, Array | None]:
-        """(n, c) irradiance and its standard error on the ``patches`` that parts were made of, by the ``numbers`` that
-        parts know them by. ``joined``: on those of ``tree.joined()``; always so for scenes with copies."""
+        """(n, c) irradiance and its standard error on the ``patches`` that the parts were made of, by the ``numbers``
+        of the parts. ``joined``, and always for scenes with copies: on the patches of ``tree.joined()``."""
         parts = [self.tree.parts[k] for k in self.tree.part]
         numbers = np.concatenate([part.numbers for part in parts])
         if joined or len(np.unique(numbers)) < len(numbers):
@@ -73,8 +73,8 @@ class HierarchicalSolution:
         return placed(self.received), None if self.error is None else placed(self.error)
 
     def on(self, patches: Patches, joined: bool = False) -> Solution:
-        """The same for patches in one mesh, see :meth:`irradiance_on`. Shares of the sky are not known (NaN), unless
-        nothing reaches it."""
+        """This solution on patches in one mesh, see :meth:`irradiance_on`. Shares of the sky are unknown (NaN), unless
+        no light reaches the sky."""
         irradiance, _ = self.irradiance_on(patches, joined)
         share = np.full(len(patches), np.nan if self.to_sky.any() else 0.0)
         radiosity = patches.emission + patches.reflectance * irradiance
@@ -86,21 +86,22 @@ class HierarchicalSolution:
 
 
 def relative_error(solution: HierarchicalSolution) -> float | None:
-    """Standard error of the irradiance, mean over the surface in units of its mean; ``None`` for a single pass."""
+    """Standard error of the irradiance, averaged over the surface, relative to the mean irradiance; ``None`` for a
+    single pass."""
     light = solution.received.sum()
     return None if solution.error is None or light <= 0 else float(solution.error.sum() / light)
 
 
 @dataclass(frozen=True)
 class PartSolution(Solution):
-    """A solution on patches in one mesh, made with the parts of the scene. Its residual is the share of the light that
-    is on its way."""
+    """A solution on patches in one mesh, computed with the parts of the scene. Its residual is the share of the sent
+    power that is still unshot."""
 
     whole: HierarchicalSolution | None = None
 
     @cached_property
     def power(self) -> dict[str, Array]:
-        """See :class:`Solution`. What backs of faces take and what is on its way is missing, as in other solutions."""
+        """See :class:`Solution`. Power lost to backs of faces and unshot power are missing, as in other solutions."""
         assert self.whole is not None
         emitted = (self.patches.areas[:, None] * self.patches.emission).sum(axis=0)
         from_sky = np.maximum(self.whole.sent - emitted, 0)

@@ -1,8 +1,8 @@
 """Loops compiled by Numba that exchange power along stretches of lines, past copies in their boxes.
 
-Power is by end of a stretch: patches of a part, the sky, darkness, regions of the part's own box; arrays
-(n + 2 + regions, c). ``values`` is what each end sends along every line. An end also sends what it received along its
-last line, ``unshot``, which what it receives now replaces, as in Multipath.
+Arrays of power (n + 2 + regions, c) have a row for each end of a stretch: patches of a part, the sky, dark, regions of
+the part's own box. ``values`` is the power that each end sends along every line. An end also sends ``unshot``, the
+reflected power from its last line; the power that it receives now then replaces ``unshot``, as in Multipath.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from numba import njit
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def exchange(ends: Any, reflectance: Any, values: Any, unshot: Any, sums: Any) -> None:
-    """Along stretches without crossings, in order. Adds to ``sums`` what ends receive, and changes ``unshot``."""
+    """Exchange power along stretches without crossings, in order. Adds the received power to ``sums``, and changes
+    ``unshot``."""
     for k in range(len(ends)):
         i, j = ends[k, 0], ends[k, 1]
         for c in range(values.shape[1]):
@@ -44,9 +45,9 @@ def walk(
 ) -> None:
     """:func:`exchange` along stretches that cross copies.
 
-    Of power P that comes to a region of transmittance T of a copy, (1 - T) P is kept in ``incoming`` (children *
-    regions, c), for the lines in the copy that meet something; T P goes on, with the power per line of the region where
-    the line comes out, ``outgoing`` [Castro 2002, sec. 5.3.6, made to conserve energy].
+    Of power P that arrives at a region of transmittance T of a copy, (1 - T) P is kept in ``incoming`` (children *
+    regions, c), for the lines in the copy that hit something. T P continues, plus the power per line ``outgoing`` of
+    the region where the line leaves the copy [Castro 2002, sec. 5.3.6, made to conserve energy].
     """
     for k in range(len(ends)):
         i, j = ends[k, 0], ends[k, 1]
@@ -57,7 +58,8 @@ def walk(
             unshot[i, c] = 0.0
             to_i = values[j, c] + unshot[j, c]
             unshot[j, c] = 0.0
-            # What goes straight through the part was sent on by what is around it: it does not arrive again.
+            # Light that goes straight through the part was already sent on by the part around it: it must not arrive
+            # twice.
             straight_j, straight_i = (to_j, to_i) if is_through else (0.0, 0.0)
             for x in range(begin, end):
                 a, b = crossings[x, 0], crossings[x, 1]

@@ -49,13 +49,13 @@ class ABuffer(LineEngine):
     line passes between two faces of a closed mesh.
 
     points: by default :class:`SpiralPoints`, a spiral for the bundles of each call.
-    lines: of a bundle through the bounding sphere; by default four per patch in the mean, and at least 16384. With few
-        surfaces in a large space this would need too much memory: then there are 2^24, or 32 per patch, with a warning,
-        and :class:`LocalRays` are better. The squared error of a patch falls with the number of bundles times the power
-        3/2 of their lines, as long as there are enough directions: use a few hundred bundles, or a thousand for errors
-        of 0.2 %.
+    lines: number of lines of a bundle through the bounding sphere; by default four per patch in the mean, and at least
+        16384. If few surfaces in a large space need more than 2^24 lines, or 32 per patch if that is more, a bundle has
+        that number, with a warning; :class:`LocalRays` are then better. The squared error of a patch falls with the
+        number of bundles times the power 3/2 of their lines, as long as there are enough directions: use a few hundred
+        bundles, or a thousand for errors of 0.2 %.
     backend: ``compiled`` loops on the CPU (Numba), or ``drjit``, on the device of the current variant. ``auto`` takes
-        the second on a GPU. Both find the same segments, except for single lines at an edge.
+        ``drjit`` on a GPU. Both find the same segments, except for single lines at an edge.
 
     Raises :class:`RadiosityError` for another backend, and for more lines than fit into memory.
     """
@@ -88,7 +88,7 @@ class ABuffer(LineEngine):
             )
         self.bundles: Bundles = Bundles(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)
-        #: In units of the radius, as are the vertices.
+        #: Spacing and vertices are in radii of the scene.
         self._spacing = self.bundles.spacing / self.bundles.radius
         self._vertices = (patches.vertices[used] - self.bundles.centre) / self.bundles.radius
         self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
@@ -99,7 +99,7 @@ class ABuffer(LineEngine):
 
     @property
     def arrays(self) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32]]:
-        """Vertices, faces and their sides, as the compiled loops take them: in units of the radius of the scene."""
+        """Vertices, faces and their sides for the compiled loops, in radii of the scene."""
         return self._vertices, self._faces, self._ends
 
     @staticmethod
@@ -136,8 +136,8 @@ class ABuffer(LineEngine):
         return in_order(task(*piece) for piece in pieces)
 
     def _is_inside(self) -> bool:
-        """Whether the one-sided faces face the inside of a closed space, such as a room, and not the outside of solids:
-        by the signed volume."""
+        """Whether the one-sided faces face the inside of a closed space, such as a room, and not the outside of solids;
+        determined by the sign of the volume."""
         p = self._vertices[self._faces[self.patches.back < 0]]
         if len(p) == 0:
             return False

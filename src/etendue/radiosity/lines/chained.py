@@ -25,8 +25,8 @@ _BATCH, _MOST_HITS = 1 << 18, 10_000
 class ChainedRays(LineEngine):
     """Lines of any generator: each ray starts at the hit of the previous one, until a ray hits nothing.
 
-    The reference for :class:`ABuffer`, which is ten times as fast. A line with k hits costs k + 1 rays in single
-    precision. Of two faces closer to each other than 1e-6 of the scene, only one is found.
+    This is the reference for :class:`ABuffer`, which is ten times as fast. A line with k hits costs k + 1 rays in
+    single precision. Of two faces closer to each other than 1e-6 of the scene, only one is found.
     """
 
     def __init__(self, generator: LineGenerator, scene: RayScene, points: PointSet | None = None) -> None:
@@ -53,15 +53,16 @@ class ChainedRays(LineEngine):
             yield self.segments(self.generator.lines(self.points.block(number, start)))
 
     def segments(self, lines: Lines) -> Pairs:
-        """The segments of given lines, line by line, each from its origin on."""
+        """The segments of given lines, line by line, in order along each line."""
         pairs, line = self.segments_within(lines, np.full(len(lines), np.inf))
         return pairs[np.argsort(line, kind="stable")]
 
     def segments_within(self, lines: Lines, reach: Array) -> tuple[Pairs, Index]:
-        """Those of the parts of lines that are of interest, in some order of the lines, and the line of each segment.
+        """Segments of parts of lines, in arbitrary order of the lines, and the line of each segment.
 
-        reach: (n,) lengths. A line of finite length begins with what its origin sees backwards, and ends at its first
-            hit beyond this length; it has no segments if there is no hit up to there.
+        reach: (n,) lengths of the parts, infinite for whole lines. A part of finite length begins with the patch that
+            its origin sees backwards, and ends at its first hit beyond its length; it has no segments if it has no hit
+            within its length.
         """
         sky, ends_at = len(self.patches), reach / self.scene.radius
         origins, directions = self.scene.local(lines.origins), lines.directions
@@ -71,7 +72,7 @@ class ChainedRays(LineEngine):
         if ends.any():
             hits, line = _within(hits, ends_at)
             travelled = travelled[line]
-        before, last_face = np.full(len(line), sky), np.full(len(line), -1)  # the last side that a line left, its face
+        before, last_face = np.full(len(line), sky), np.full(len(line), -1)  # patch and face that each line left last
         back = np.flatnonzero(ends[line])
         before[back] = self.scene.first_patches(origins[line[back]], -directions[line[back]])
         found: list[tuple[Index, Index, Index]] = []
@@ -101,6 +102,6 @@ class ChainedRays(LineEngine):
 
 
 def _within(hits: Hits, reach: Array) -> tuple[Hits, Index]:
-    """The hits up to given lengths, numbered anew, and their rays."""
+    """The hits within the lengths ``reach``, renumbered, and their rays."""
     near = hits.distance <= reach[hits.ray]
     return Hits(np.arange(np.count_nonzero(near)), hits.distance[near], hits.face[near]), hits.ray[near]

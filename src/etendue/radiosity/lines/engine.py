@@ -42,8 +42,8 @@ class LineEngine(ABC):
 
     @property
     def shares_directions(self) -> bool:
-        """Whether lines that follow each other are parallel: bundles of more than one line."""
-        # Computed from a distance: a single line may give 1 + 1e-16.
+        """Whether successive lines are parallel: bundles of more than one line."""
+        # The number of lines is computed from their distance: for a single line it may be 1 + 1e-16.
         return self.bundles is not None and self.bundles.lines_per_point > 1 + 1e-9
 
     def shuffled(self, count: int, first: int = 0) -> Self:

@@ -1,9 +1,9 @@
 """Global lines: lines through a scene with the uniform density of integral geometry, and four ways to sample them.
 
 Their density is uniform: the number of lines through a piece of surface does not depend on its position and
-orientation. A line of a convex body of surface ``S`` then meets a flat patch of area ``A`` inside it with probability
-``2 A / S``, and leaves every patch with cosine density, so that the share of the lines through patch ``i`` that next
-hit patch ``j`` is the form factor [Sbert 1993].
+orientation. A line through a convex body of surface ``S`` then meets a flat patch of area ``A`` inside the body with
+probability ``2 A / S``. Lines leave every patch with cosine density, so that the share of the lines through patch ``i``
+that next hit patch ``j`` is the form factor [Sbert 1993].
 
 Each generator maps a point of the four-dimensional unit cube to a line, so any four-dimensional point set can be used
 [Castro 2002, sec. 3.4]:
@@ -11,8 +11,8 @@ Each generator maps a point of the four-dimensional unit cube to a line, so any 
 ==================== ================================================================================================
 :class:`SpherePairs` through two points of a sphere around the scene
 :class:`BoxWalls`    from a point on the walls of a box around the scene, by the cosine law; no line misses the box
-:class:`GreatCircle` of uniform direction, through a point of the disc across it
-:class:`Bundles`     of uniform direction, in a randomly shifted square grid across it: many lines for one point
+:class:`GreatCircle` of uniform direction, through a point of the perpendicular disc
+:class:`Bundles`     of uniform direction, in a randomly shifted perpendicular square grid: many lines for one point
 ==================== ================================================================================================
 """
 
@@ -29,7 +29,7 @@ from etendue.surfaces import Patches, across
 
 from ..errors import RadiosityError
 
-#: Distance from the body at which lines begin, in radii, so that they meet faces on its surface.
+#: Distance from the body at which lines begin, in radii, so that lines also meet faces on the surface of the body.
 _MARGIN = 0.05
 #: Rotation of grids (radians), so that walls along the axes are not aligned with the rows of a grid.
 _TURN = 0.4
@@ -53,7 +53,7 @@ Sphere = tuple[Array, float]
 class LineGenerator(ABC):
     """Lines through patches, from points of the unit cube of four dimensions.
 
-    sphere: of which they are the lines, by default one around all patches.
+    sphere: the sphere through which lines are cast, by default one around all patches.
     """
 
     name: ClassVar[str]
@@ -74,7 +74,7 @@ class LineGenerator(ABC):
         return 1.0
 
     def expected(self, areas: Array, points: int) -> Array:
-        """Mean number of lines of ``points`` points that hit flat patches of these areas: 2 A / S of all lines."""
+        """Mean number of lines that hit flat patches of these areas, for ``points`` points: 2 A / S of all lines."""
         return points * self.lines_per_point * 2 * areas / self.surface
 
     def _outside(self, points: Array, directions: Array) -> Lines:
@@ -151,8 +151,8 @@ class GreatCircle(LineGenerator):
 class Bundles(LineGenerator):
     """Parallel lines of uniform direction, in a square grid with a uniform shift.
 
-    lines: mean number of lines of a bundle through the bounding sphere. The grid is rotated against the axes of the
-        scene, similarly in bundles of similar direction, so that their errors cancel.
+    lines: mean number of lines of a bundle through the bounding sphere. The grid is rotated relative to the axes of the
+        scene. Bundles of similar direction have similar rotations, so that their errors cancel.
 
     Raises :class:`RadiosityError` for less than one line.
     """
@@ -175,7 +175,7 @@ class Bundles(LineGenerator):
         """(n,) upper bound of the lines of a bundle through each patch, for any direction and shift.
 
         A convex figure of area A and perimeter P holds at most ``A + P / 2 + 1`` points of the square grid of spacing 1
-        [Nosarzewska 1948]; a face is not larger than itself in any direction.
+        [Nosarzewska 1948]; area and perimeter of a projected face are at most those of the face.
         """
         corners = patches.vertices[patches.faces] / self.spacing
         perimeters = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).sum(axis=1)
@@ -187,7 +187,7 @@ class Bundles(LineGenerator):
         return most
 
     def frames(self, u: Array) -> Array:
-        """Rows of each (n, 3, 3): two axes of the grid, and the direction."""
+        """(n, 3, 3) frames; the rows are two axes of the grid, and the direction."""
         way = direction(u)
         a, b = across(way)
         cosine, sine = np.cos(_TURN), np.sin(_TURN)

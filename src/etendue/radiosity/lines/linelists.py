@@ -1,7 +1,7 @@
 """Lists of the hits of lines, on the device: sorting, and the segments between neighbours.
 
-A hit is a 64-bit number: the depth in the upper half, then the face, and in the last bit whether the line hits its
-back.
+A hit is a 64-bit number: the depth in the upper half, then the face; the last bit is set if the line hits the back of
+the face.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-#: Number of hits of half a line that are sorted in registers; few lines have more.
+#: Number of hits of a half line (see :class:`LineHits`) that are sorted in registers; few lines have more.
 _FEW = 4
 #: No hit, or no segment.
 _NOTHING = 0xFFFFFFFFFFFFFFFF
@@ -37,8 +37,8 @@ class Lists:
 
 def by_depth(hits: LineHits, lines: int) -> Lists:
     """The sorted hits of each line."""
-    # Plane k has the k-th hit of each half line. All hits write to a plane at once; those that were overwritten try the
-    # next plane. Atomic operations would take ten times as long on a CPU.
+    # Plane k has the k-th hit of each half line. All hits write to a plane at once; hits that were overwritten are
+    # written to the next plane. Atomic operations would take ten times as long on a CPU.
     planes: list[mi.UInt64] = []
     halves, others = dr.zeros(mi.UInt32, 2 * lines), LineHits(hits.key, hits.half)
     while len(planes) < _FEW and len(others.key):
@@ -68,7 +68,7 @@ def by_depth(hits: LineHits, lines: int) -> Lists:
 
 
 def _sort_few(planes: list[mi.UInt64], counts: mi.Vector2u, line: mi.UInt32, lists: Lists) -> None:
-    """The hits in planes, in registers, by a network of comparisons [Batcher 1968]."""
+    """Sort the hits of the planes in registers, by a sorting network [Batcher 1968], and write them to the lists."""
     size = 1 << (2 * len(planes) - 1).bit_length()
     keys = [mi.UInt64(_NOTHING)] * size
     for i, plane in enumerate(planes):
@@ -82,7 +82,7 @@ def _sort_few(planes: list[mi.UInt64], counts: mi.Vector2u, line: mi.UInt32, lis
 
 
 def _network(size: int) -> list[tuple[int, int]]:
-    """Comparisons of a sorting network by odd-even merging; ``size`` a power of two."""
+    """Comparisons of a sorting network by odd-even merging; ``size`` is a power of two."""
     pairs = []
     p = 1
     while p < size:
@@ -98,7 +98,7 @@ def _network(size: int) -> list[tuple[int, int]]:
 
 
 def _sort_many(lists: Lists, chosen: mi.Bool) -> None:
-    """Sort the hits of the chosen lines by counting for each hit those before it, which needs no memory per line."""
+    """Sort the hits of the chosen lines: count for each hit the hits before it, which needs no memory per line."""
     dr.eval(lists, chosen)
     chosen = dr.compress(chosen)
     first, count = dr.gather(mi.UInt32, lists.first, chosen), dr.gather(mi.UInt32, lists.count, chosen)
@@ -123,9 +123,9 @@ def exchanges(lists: Lists, sides: mi.UInt32, sky: mi.UInt32, gap: mi.UInt32, so
     """Segments of all lines as numbers of 64 bits, the near patch in the lower half.
 
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
-    of a face. Two faces of opposite sense that are nearer than ``gap`` may be a sheet, or solids that touch (a box on
-    the floor). Their order is not decided by rounding but by whether the line is inside a solid, behind the back of a
-    face. ``solid``: whether the scene is an interior, so that lines begin inside a solid.
+    of a face. Two faces of opposite orientation closer to each other than ``gap`` may be a sheet, or solids that touch
+    (a box on the floor). Their order is not decided by rounding but by whether the line is inside a solid, that is,
+    behind the back of a face. ``solid``: whether the scene is an interior, so that lines begin inside a solid.
     """
     dark = sky + 1
     lines, first, count = _Lines(lists, sides, dark, gap, solid), lists.first, lists.count
@@ -170,7 +170,7 @@ class _Lines:
         self._sides, self._dark, self._gap, self._solid = sides, dark, gap, solid
 
     def hit(self, i: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
-        """Depth of a hit, patch of the near side and of the far side; arbitrary values after the last hit."""
+        """Depth of a hit, patch of its near side, and patch of its far side; arbitrary values after the last hit."""
         there = i < self._count
         key = dr.gather(mi.UInt64, self._key, self._first + i, there)
         identity = mi.UInt32(key & 0xFFFFFFFF)
@@ -196,7 +196,7 @@ class _Lines:
     def inside(
         self, i: mi.UInt32, at: mi.UInt32, near: mi.UInt32, following: mi.UInt32, before: mi.UInt32, close: mi.Bool
     ) -> mi.Bool:
-        """Whether the line is inside a solid before hit ``i``, which is ``close`` to the next."""
+        """Whether the line is inside a solid before hit ``i``, if that is ``close`` to the next hit."""
         # The outside may be solid or open: the first face that is not part of a pair decides.
         begins = close & (i == 0)
 
@@ -211,8 +211,8 @@ class _Lines:
             pair_after,
             label="line lists: first face",
         )
-        # Only pairs: in an interior it is a box in a corner, through whose walls the line passes; else a touched corner
-        # keeps its order, and two coincident faces are a sheet.
+        # The line has only pairs. In an interior it passes through the walls of a box in a corner of the room; else the
+        # line touches a corner, whose faces keep their order, or two coincident faces are a sheet.
         corner = self._solid | ((near == self._dark) & (following - at > 1))
         at_first = dr.select(alone < self._count, near_alone == self._dark, corner)
         return dr.select(begins, at_first, before == self._dark)

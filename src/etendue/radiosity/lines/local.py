@@ -20,10 +20,10 @@ from .segments import Pairs
 class LocalRays(LineEngine):
     """Rays from uniform points of all patches by the cosine law; each is a segment for both of its ends.
 
-    They have the density of global lines [Sbert 1993], but a ray finds one segment only. Better than global lines for
-    few surfaces in a large space.
+    They have the density of global lines [Sbert 1993], but a ray finds one segment only. They are better than global
+    lines for few surfaces in a large space.
 
-    bundle: number of rays that count as one bundle, each with its own point.
+    bundle: number of rays that count as one bundle; each ray has its own point.
     """
 
     def __init__(self, scene: RayScene, points: PointSet | None = None, bundle: int = 1) -> None:
@@ -32,7 +32,7 @@ class LocalRays(LineEngine):
         self._source = RaySource(scene, Sides.of(scene.patches))
 
     def expected(self, count: int) -> Array:
-        """See :class:`LineEngine`: as many lines from a patch as to it."""
+        """See :class:`LineEngine`: as many rays leave a patch as hit it."""
         return 2 * count * self.bundle * self.patches.areas / self.patches.areas.sum()
 
     def piece(self, count: int) -> int:
@@ -46,7 +46,8 @@ class LocalRays(LineEngine):
             places = self._source.any(u[0], u[1])
             found = self.scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
             pairs = pairs_of(self._source.patch_of(places.side), found)
-            # A patch receives as many lines from another as it sends there, but none from the sky: these count twice.
+            # A patch receives as many rays from another patch as it sends there, but none from the sky or from backs of
+            # faces: segments to these count twice.
             yield np.concatenate([pairs, pairs[pairs[:, 1] >= len(self.patches)]])
 
 
@@ -79,7 +80,7 @@ class Emission:
         return Rays(np.array(places.origin).T, directions, self._carried(source))
 
     def received(self, u: Array) -> Array:
-        """Power (n + 2, c) that patches, the sky and the backs of faces receive by such rays."""
+        """Power (n + 2, c) that patches, the sky and the backs of faces receive by the rays of ``u`` (k, 4)."""
         lanes, n = columns(u), len(self.power)
         places = self._source.any(lanes[0], lanes[1])
         found = self.scene.meets(places.origin, places.directions(cosine_lanes(lanes[2], lanes[3])))

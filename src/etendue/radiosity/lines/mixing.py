@@ -16,23 +16,23 @@ from etendue.surfaces import BATCH, RayScene, RaySource, Sides, cosine_lanes, pa
 from ..errors import RadiosityError
 from .segments import Pairs, Segments
 
-#: Largest share of local rays among the segments; they then take about as long as the lines, including their
-#: processing.
+#: Largest number of local rays, as a share of the segments; the rays then take about as long as the lines, including
+#: their processing.
 _SHARE = 0.125
 
 
 class MixedSegments(Segments):
     """Segments of global lines, and of local rays from some of the patches.
 
-    Of the ``m_i`` expected lines of patch i, ``m_i F_ij`` lead to j, and of ``k_i`` rays from it ``k_i F_ij``. With
-    ``extra_i = k_i / m_i`` a pair is sampled ``1 + extra_i + extra_j`` times as often as by lines alone, and each of
-    its segments, of a line or a ray, has the inverse of that as weight: the balance heuristic [Veach 1997]. Sums then
-    have the same mean as with lines alone, and stay symmetric: weight_i F_ij = weight_j F_ji.
+    Of the ``m_i`` expected lines of patch i, ``m_i F_ij`` lead to j, and of ``k_i`` rays from patch i, ``k_i F_ij``.
+    With ``extra_i = k_i / m_i`` a pair is sampled ``1 + extra_i + extra_j`` times as often as by lines alone. Each
+    segment of the pair, of a line or a ray, has the inverse of that factor as weight: the balance heuristic
+    [Veach 1997]. Sums then have the same mean as with lines alone, and stay symmetric: weight_i F_ij = weight_j F_ji.
 
     Attributes
     ----------
     extra: (n,) local rays per expected line, zero for most patches.
-    rays: number of local rays.
+    rays: number of local rays of all batches.
     counted, to_sky, to_dark: (n,) weighted, so not whole numbers.
     corrections: for each batch, the change of the counts of pairs by rays and by the weights of lines: an (n + 2, n +
         2) CSR array.
@@ -73,9 +73,9 @@ def with_local_rays(
 ) -> Segments:
     """The same segments, with local rays from patches that fewer than ``least`` lines hit.
 
-    These are the patches with fewer than ``least`` expected lines, by their area, with ``least`` rays each. If rays
-    would be more than an eighth of the segments, their number is halved repeatedly, down to two, whose difference gives
-    the error. There are none if all patches are alike, or if one ray each would be too many. Rays have single
+    These are the patches with fewer than ``least`` expected lines, by their area. Each sends ``least`` rays. If rays
+    would be more than an eighth of the segments, ``least`` is halved repeatedly, down to two rays, whose difference
+    gives the error. No rays are cast if all patches are alike, or if one ray each would be too many. Rays have single
     precision: they cannot resolve patches below 1e-5 of the scene's size.
 
     scene: made from the patches if not given. points: four-dimensional points for the rays, by default a scrambled
@@ -106,7 +106,7 @@ def with_local_rays(
 
 
 def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, NDArray[np.int64]]:
-    """Number of rays per patch that :func:`with_local_rays` casts, and the patches."""
+    """Number of rays per patch that :func:`with_local_rays` casts, and the patches that send them."""
     rays = least
     while rays and rays * np.count_nonzero(expected < rays) > _SHARE * segments:
         rays //= 2
@@ -115,7 +115,7 @@ def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, N
 
 
 def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
-    """Sums (n + 2, n + 2) of the weights of segments, minus ``less`` each, in both directions."""
+    """(n + 2, n + 2) sums over segments, in both directions, of their weight minus ``less``."""
     i, j = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
     weight = 1 / (1 + extra[i] + extra[j]) - less
     both = np.concatenate([weight, weight]), (np.concatenate([i, j]), np.concatenate([j, i]))

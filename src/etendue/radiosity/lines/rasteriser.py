@@ -7,8 +7,9 @@ A few kernels process many bundles at once:
 3. hits are assigned to their line, and a lane for each line sorts them and writes the segments between neighbours
    (:mod:`.linelists`).
 
-Coordinates are in double precision, or lines would pass between faces that are divided differently. A hit is one 64-bit
-number: its depth in fixed point, then its face, so that the order does not depend on the order of lanes.
+Coordinates are in double precision; in single precision, lines would pass between neighbouring faces whose edges are
+divided differently. A hit is one 64-bit number: its depth in fixed point, then its face, so that the order of hits does
+not depend on the order of lanes.
 """
 
 from __future__ import annotations
@@ -27,23 +28,24 @@ from .segments import Pairs
 
 #: Rows of a face that one lane rasterises. Larger faces are split, so that no lane takes much longer than the others.
 _ROWS = 8
-#: Depths span the bounding sphere and a little more.
+#: Number of depths, and the extent that they span, in diameters of the bounding sphere.
 _DEPTHS, _MARGIN = 2.0**32, 1.01
 
 
 class Rasteriser:
     """Faces on the device of the current variant.
 
-    vertices: (v, 3) around the centre of a sphere of ``radius`` that holds them.
-    faces: (f, 4) rows of them, flat and convex.
+    vertices: (v, 3) relative to the centre of a bounding sphere of ``radius``.
+    faces: (f, 4) vertex indices; faces are flat and convex.
     sides: (f, 2) the patch of the front and of the back, ``patches + 1`` for none.
-    patches: their number.
-    spacing: of neighbouring lines.
+    patches: number of patches.
+    spacing: distance of neighbouring lines.
     gap: distance of faces below which rounding must not decide their order.
+    solid: whether the scene is an interior.
 
     Attributes
     ----------
-    lanes: of one bundle, for its faces.
+    lanes: number of lanes for the faces of one bundle.
     """
 
     def __init__(
@@ -70,7 +72,7 @@ class Rasteriser:
         self._solid = dr.opaque(mi.Bool, solid)
 
     def segments(self, frames: Array, shifts: Array) -> Pairs:
-        """Segments (k, 2) of the lines of bundles, line by line, each from its near end on.
+        """Segments (k, 2) of the lines of bundles, line by line, from the near end of each line on.
 
         frames: (b, 3, 3) as of :meth:`Bundles.frames`; shifts: (b, 2) of their grids, in units of the spacing.
         """
@@ -100,7 +102,7 @@ class _Grid:
         columns, rows = (np.ceil(centre + reach).astype(np.int64) + 2 - first).T
         begin = np.concatenate([[0], np.cumsum(columns * rows)])
         self.pixels, self._bundles = int(begin[-1]), len(frames)
-        # Of the pixel in row 0 and column 0, modulo 2**32.
+        # Index of the pixel in row 0 and column 0, modulo 2**32.
         origin = begin[:-1] - first[:, 1] * columns - first[:, 0]
         self._axes = copied_to_device(mi.Float64, np.concatenate([axes, moved[:, :, None]], axis=2))
         self._rows = copied_to_device(mi.UInt32, np.column_stack([columns, origin & 0xFFFFFFFF]).astype(np.uint32))
@@ -111,7 +113,7 @@ class _Grid:
         return counts
 
     def fill(self, places: mi.UInt32, number: int) -> LineHits:
-        """All hits, those of each lane from its place on."""
+        """All hits; the hits of each lane are consecutive, from its place on."""
         keys, halves = dr.empty(mi.UInt64, number), dr.empty(mi.UInt32, number)
 
         def row(
@@ -143,7 +145,7 @@ class _Grid:
         x, y, z = zip(*[_projected(axes, dr.gather(mi.Vector4d, faces.vertices, c)) for c in corners], strict=True)
         edges = [_edge(x[i], y[i], x[(i + 1) % 4], y[(i + 1) % 4]) for i in range(4)]
 
-        # Normal from the diagonals; also for triangles, which repeat their last corner.
+        # The normal from the diagonals is right also for triangles, which repeat their last corner.
         a, b = mi.Vector3d(*(c[2] - c[0] for c in (x, y, z))), mi.Vector3d(*(c[3] - c[1] for c in (x, y, z)))
         normal = dr.cross(a, b)
         slope_x, slope_y = -normal.x / normal.z, -normal.y / normal.z
@@ -180,7 +182,7 @@ class _Grid:
 
 def _items(vertices: Array, faces: NDArray[np.uint32], spacing: float) -> NDArray[np.uint32]:
     """Work items of lanes, (i, 8): four corners, the face, and the first row and the step of its rows."""
-    rows = np.linalg.norm(np.ptp(vertices[faces], axis=1), axis=1) / spacing  # at most, in any direction
+    rows = np.linalg.norm(np.ptp(vertices[faces], axis=1), axis=1) / spacing  # upper bound for any direction
     shares = np.maximum(np.ceil(rows / _ROWS), 1).astype(np.int64)
     face = np.repeat(np.arange(len(faces)), shares)
     share = np.arange(len(face)) - np.repeat(np.cumsum(shares) - shares, shares)
@@ -188,7 +190,7 @@ def _items(vertices: Array, faces: NDArray[np.uint32], spacing: float) -> NDArra
 
 
 def _projected(axes: list[mi.Vector4d], vertex: mi.Vector4d) -> tuple[mi.Float64, mi.Float64, mi.Float64]:
-    """Column, row and depth of a vertex. Written out, so that all faces with this vertex get the same numbers."""
+    """Column, row and depth of a vertex. Explicit ``fma`` gives all faces with this vertex the same numbers."""
     x, y, z = (dr.fma(a.x, vertex.x, dr.fma(a.y, vertex.y, dr.fma(a.z, vertex.z, a.w))) for a in axes)
     return x, y, z
 
@@ -196,7 +198,8 @@ def _projected(axes: list[mi.Vector4d], vertex: mi.Vector4d) -> tuple[mi.Float64
 def _edge(
     x: mi.Float64, y: mi.Float64, to_x: mi.Float64, to_y: mi.Float64
 ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
-    """Lower end of an edge, upper row, and its slope, the same for both faces that share it."""
+    """Column and row of the lower end of an edge, row of its upper end, and its slope: the same for both faces that
+    share the edge."""
     turned = y > to_y
     low_x, high_x = dr.select(turned, to_x, x), dr.select(turned, x, to_x)
     low_y, high_y = dr.select(turned, to_y, y), dr.select(turned, y, to_y)

@@ -22,7 +22,7 @@ class Replicates(PointSet):
     Parts of one sequence complement each other: for bundles of lines their variance overestimates the error of the mean
     by a factor of two to nine. With independent sequences the estimate is unbiased, but each sequence is shorter.
 
-    sequences: of equal dimension. run: consecutive points from one of them before the next one.
+    sequences: point sets of equal dimension. run: number of consecutive points from one sequence before the next.
     """
 
     name = "replicates"

@@ -25,7 +25,7 @@ _REACH = 1.001
 _UNIT = 2.0**31 / _REACH
 #: Faces closer to each other than this are ordered by their orientation, in units of depth: 2e-7 radii.
 _GAP = int(2e-7 * _UNIT)
-#: Two faces this close coincide.
+#: Two faces this close coincide, in units of depth.
 _SAME = 1
 _NONE = np.int32(-1)
 _HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
@@ -47,13 +47,13 @@ def rasterise(
     room: int,
     solid: bool,
 ) -> Pairs:
-    """Segments (k, 2) of the lines of some bundles, line by line, each from its near end on.
+    """Segments (k, 2) of the lines of some bundles, line by line, from the near end of each line on.
 
-    vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of a face, and
-    the same of the face seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of :meth:`Bundles.frames`;
-    shifts (b, 2) of the grid in units of ``spacing``; centre (3,), reach: only lines that are not farther from it than
-    this along both axes of the grid are cast; room, the initial capacity for hits of a bundle; solid, whether the scene
-    is an interior, so that lines begin behind the backs of faces.
+    vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of each face
+    seen from the front, then seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of
+    :meth:`Bundles.frames`; shifts (b, 2) of the grid in units of ``spacing``; centre (3,), reach: only lines at most
+    ``reach`` from ``centre`` along both axes of the grid are cast; room, the initial capacity for hits of a bundle;
+    solid, whether the scene is an interior, so that lines begin behind the backs of faces.
 
     Each line has a list of its hits, in order of their discovery; see :func:`_settle` for hits that are too close to
     each other to be ordered by depth.
@@ -134,7 +134,7 @@ def _fill(
     start: int,
     count: int,
 ) -> tuple[int, int, int]:
-    """Put the hits of the faces from ``start`` on, as far as they are in the grid, into the lists.
+    """Put the hits of the faces from ``start`` on into the lists, as far as the hits are in the grid.
 
     Returns the face at which the capacity was exceeded (``len(faces)`` if it was not), the number of hits, and the
     largest number of hits of that face.
@@ -157,7 +157,7 @@ def _fill(
         if count + (end - top) * width > len(hits):
             return f, count, (end - top) * width
         z0, z1, z2, z3 = place[i0, 2], place[i1, 2], place[i2, 2], place[i3, 2]
-        # Normal from the diagonals; also for triangles, which repeat their last corner.
+        # The normal from the diagonals is right also for triangles, which repeat their last corner.
         ax, ay, az = x2 - x0, y2 - y0, z2 - z0
         bx, by, bz = x3 - x1, y3 - y1, z3 - z1
         nz = ax * by - ay * bx
@@ -260,7 +260,7 @@ def _walk(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _apart(order: NDArray[np.uint64], k: int) -> np.int64:
-    """Depth difference of hit ``k`` of a line and the next."""
+    """Depth difference of hit ``k`` of a line and the next hit."""
     return np.int64(order[k + 1] >> _HALF) - np.int64(order[k] >> _HALF)
 
 
@@ -271,7 +271,7 @@ def _settle(
     """Order hit ``k`` of a line and the next one, which are close to each other. Returns the next hit to be examined.
 
     Two such faces of opposite orientation may be a sheet, or solids that touch (a box on the floor). Their order is not
-    decided by rounding but by whether the line is inside a solid, behind the back of a face.
+    decided by rounding but by whether the line is inside a solid, that is, behind the back of a face.
     """
     if not _touch(k, count, order, ends, dark):
         return k
@@ -283,9 +283,9 @@ def _settle(
             alone += 2
         if alone < count:
             inside = ends[order[alone] & _LOW, 0] == dark
-        elif solid:  # a box in a corner of a room, through whose walls the line passes
+        elif solid:  # the line passes through the walls of a box in a corner of a room
             inside = True
-        elif leaves:  # a touched corner keeps its order, two coincident faces are a sheet
+        elif leaves:  # the faces of a touched corner keep their order, two coincident faces are a sheet
             inside = _apart(order, k) > _SAME
         else:
             inside = False
@@ -296,7 +296,7 @@ def _settle(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _touch(k: int, count: int, order: NDArray[np.uint64], ends: NDArray[np.uint32], dark: np.uint32) -> bool:
-    """Whether hit ``k`` of a line and the next have opposite orientation and nearly the same position."""
+    """Whether hit ``k`` of a line and the next hit have opposite orientation and nearly the same position."""
     if k + 1 >= count or _apart(order, k) >= _GAP:
         return False
     a, b = order[k] & _LOW, order[k + 1] & _LOW

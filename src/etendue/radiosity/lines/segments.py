@@ -26,14 +26,14 @@ class Segments:
 
     A segment is a pair of patch indices. ``n`` is the sky, where a line without further hit ends, and ``n + 1`` is
     dark: the back of a one-sided face. So every line through a patch is one of its segments. The share of the segments
-    of patch ``i`` that lead to ``j`` estimates the form factor F_ij, and any sum over form factors is a pass over the
-    segments, at a few hundred million per second: a bounce, another band, another hour.
+    of patch ``i`` that lead to ``j`` estimates the form factor F_ij. Any sum over form factors, such as a bounce of
+    light, is a pass over the segments, at a few hundred million per second.
 
     The lines are divided into ``batches``, whose variance gives errors.
 
     Attributes
     ----------
-    patches: those that the lines were cast through; only their number and areas are used.
+    patches: the patches that the lines were cast through; only their number and areas are used.
     chunks: arrays (k, 2), one after the other.
     batches: (chunks,) the batch of each chunk, from 0 on.
     expected: (n,) expected number of lines through each patch, if it is flat.
@@ -45,7 +45,7 @@ class Segments:
 
     def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
         self.patches = patches
-        # All read-only, as those in files are, since loops are compiled separately for writable arrays.
+        # All chunks are read-only, as chunks in files are: loops would be compiled again for writable arrays.
         self.chunks = [_read_only(chunk) for chunk in chunks]
         self.batches = np.asarray(batches, dtype=np.int64)
         self.expected = expected
@@ -92,7 +92,8 @@ class Segments:
 
     @property
     def dark(self) -> Array:
-        """(n,) the share that leads to the back of a face: zero in a closed mesh with the right orientation."""
+        """(n,) the share of the segments of each patch that lead to the back of a face: zero in a closed mesh with the
+        right orientation."""
         return _divide(self.to_dark[:, None], self.exchange_weights)[:, 0]
 
     @property
@@ -101,8 +102,8 @@ class Segments:
         return self.counted.astype(np.float64)
 
     def gather(self, values: ArrayLike, sky: ArrayLike = 0.0, normalisation: Normalisation = "counted") -> Array:
-        """Mean of ``values`` (n, c) or (n,) over what each patch sees: F values, the irradiance if these are
-        radiosities.
+        """Mean of ``values`` (n, c) or (n,) over the surfaces that each patch sees: F values. Of radiosities it is the
+        irradiance.
 
         ``sky`` is the value of the sky, a number or (c,). A patch without any line gets zero.
         """
@@ -162,7 +163,7 @@ class Segments:
 
     @cached_property
     def _on_device(self) -> DeviceSegments:
-        """A copy, 8 bytes a segment, for as long as these segments live."""
+        """A copy on the device, 8 bytes per segment, kept as long as these segments exist."""
         return DeviceSegments(self.chunks)
 
     def _sum(self, loop: str, zero: Any, *arguments: Any) -> Any:

@@ -32,8 +32,8 @@ class SpiralPoints(PointSet):
     Sobol' points. They are in the order of the radical inverse, so that each part of them is distributed evenly, too,
     but less well. The other dimensions are those of a scrambled Sobol' sequence.
 
-    directions: n, after which the next spiral begins with another rotation. The best value is the number of bundles, if
-    known.
+    directions: the number n, after which the next spiral begins with another rotation. The best value is the number of
+    bundles, if known.
     """
 
     name = "spiral"
@@ -76,7 +76,7 @@ class ShuffledPoints(PointSet):
         super().__init__(base.dimension)
         self.first = first
         points = base.block(count, first)
-        # From 20 bits of the first points, since machines may differ in the last bits.
+        # The seed uses 20 bits of the first points, since machines may differ in the last bits.
         start = np.floor(points[:_SEEDING] * 2.0**20).astype(np.uint32)
         self._points = points[np.random.default_rng(start.ravel()).permutation(count)]
 

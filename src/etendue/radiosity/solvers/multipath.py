@@ -16,7 +16,7 @@ from ..lines.segments import Pairs
 from ..parallel import compiled
 from .shot import FirstShot
 
-#: Multiple of its power that a round of bundles could take from a patch, without feedback. A larger value makes the
+#: A round of bundles could take this multiple of its power from a patch, without feedback. A larger value makes the
 #: last round shorter, and the result noisier.
 _SHARES = 16.0
 #: Accepted share of unshot power at the end, and largest number of rounds unless another is asked for.
@@ -61,8 +61,8 @@ def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | 
 
 
 class LineExchange:
-    """The exchange of :func:`multipath` along segments; the lines of ``count`` points send the own power once. Raises
-    the errors of :func:`multipath`."""
+    """The exchange of :func:`multipath` along segments; the lines of ``count`` points send the own power of patches
+    once. Raises the errors of :func:`multipath`."""
 
     def __init__(self, engine: LineEngine, count: int, shot: FirstShot | None = None) -> None:
         patches, own = engine.patches, _own(engine.patches, shot, count)
@@ -81,7 +81,8 @@ class LineExchange:
         self._per_line[-2] = _sky_per_line(patches, expected)
 
     def along(self, pairs: Pairs, unshot: Array, received: Array) -> Array:
-        """Exchange power along segments: changes ``unshot`` and ``received``, returns the power (c,) sent anew."""
+        """Exchange power along segments: changes ``unshot`` and ``received``. Returns the power (c,) of emission and
+        sky that is sent."""
         compiled().multipath(pairs, self._reflectance, self._per_line, unshot, received)
         ends = np.zeros((len(unshot), 3), np.int64)
         compiled().count_ends(pairs, ends)
@@ -104,29 +105,30 @@ def multipath_bundles(
 
     .. math:: u \leftarrow u + p, \quad \Delta r = C w u, \quad u \leftarrow u - n w u + \rho\, \Delta r.
 
-    *No bias.* :math:`E\,C_{ij} = m_i F_{ij}`, and a bundle is independent of those that delivered u. So j gets the
-    share F_ij of all that i sends in the mean, for any w, and i sends own + rho r except for the final u. With u = 0,
-    :math:`r = F^T (own + \rho r)` in the mean. A share of u / n_i would be biased: it gives all directions the same
-    power, although directions along the normal have the most lines.
+    *No bias.* :math:`E\,C_{ij} = m_i F_{ij}`, and a bundle is independent of the bundles that delivered u. So in the
+    mean j receives the share F_ij of all that i sends, for any w, and i sends own + rho r except for the final u. With
+    u = 0, :math:`r = F^T (own + \rho r)` in the mean. A share of u / n_i would be biased: it would give all directions
+    the same power, although directions along the normal have the most lines.
 
     *Bounded variance.* A bundle has at most ``most_i`` lines through a patch (:meth:`Bundles.most`). If
-    :math:`w_i \le 1 / most_i`, none sends more than it has: u is never negative, and its sum grows by p only. Within
-    this bound the shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones smooth u, larger ones empty it sooner.
+    :math:`w_i \le 1 / most_i`, no patch sends more than it has: u is never negative, and its sum grows by p only.
+    Within this bound the shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller shares smooth u, larger shares empty
+    it sooner.
 
-    *Start-up.* The first bundles find little power to send, and the last leave some: so the bundles are used
-    cyclically. The first ones are cast once more, without own power, until a millionth of the sent power is unshot.
+    *Start-up.* The first bundles find little power to send, and the last bundles leave some: so the bundles are used
+    cyclically. The first bundles are cast once more, without own power, until a millionth of the sent power is unshot.
     This takes 0.7 more rounds, or more with few bundles and high reflectances (two with 64 bundles and reflectances of
-    0.8); there are at most ``rounds`` in all. The rest is ``unshot``: :func:`finished` spreads it by an ambient term,
-    with which one round may do.
+    0.8); there are at most ``rounds`` in all. The rest is ``unshot``: :func:`finished` spreads it by an ambient term;
+    one round may then suffice.
 
-    *Order.* It is random, since successive points of a sequence are far apart by design; each bundle occurs once per
-    round. Light can therefore not return along the bundle that delivered it, which independent bundles would allow with
-    the probability 1 / N: so it may leave at once along that bundle, with the weight 1 / N. The remaining bias is a
-    part of the noise.
+    *Order.* The order of bundles is random, since successive points of a sequence are far apart by design; each bundle
+    occurs once per round. Light can therefore not return along the bundle that delivered it. Independent bundles would
+    allow this with probability 1 / N. Light may therefore also leave at once along the bundle that delivered it, with
+    the weight 1 / N. The remaining bias is a part of the noise.
 
     Arguments and result as of :func:`multipath`. The result depends only on the points of the engine, not on how many
     are cast at once; backends differ by single lines. Raises :class:`RadiosityError` if nothing emits, for less than
-    one point, and for an engine without bundles.
+    one point or round, and for an engine without bundles.
     """
     patches, own, bundles = engine.patches, _own(engine.patches, shot, count), engine.bundles
     if rounds < 1:

@@ -52,9 +52,9 @@ class MultipathPasses:
     can be added. N passes are :func:`multipath` with as many lines, in another unit of power, so N need not be known
     in advance.
 
-    A sample of a budget is a point. Its error is the *square* of the standard error of the irradiance, averaged over
-    the surface and divided by the mean irradiance. It is estimated from the variance of the passes, which for a point
-    sequence overestimates it.
+    A sample of a budget is a point. The error is the *square* of the standard error of the irradiance, averaged over
+    the surface and divided by the mean irradiance. It is estimated from the variance of the passes; for a point
+    sequence this is an upper estimate.
     """
 
     name: ClassVar[str] = "multipath"
@@ -146,8 +146,8 @@ class MultipathPasses:
         return error if self.shot is None else np.hypot(error, self.shot.error)
 
     def missed(self, measurement: Measurement) -> float:
-        """Share of the expected segments that lines did not find. Above 0 by more than noise, faces lie on each other:
-        a line then meets only one of them."""
+        """Share of the expected segments that lines did not find. If it exceeds 0 by more than noise, faces lie on
+        each other: a line then meets only one of them."""
         expected = self._engine.expected(self.samples_per_iteration).sum()
         return 1 - float(measurement.mean("segments").sum() / expected)
 

@@ -1,10 +1,11 @@
 """First shot: the direct light of small emitters, sent by local rays, since few global lines meet a small lamp.
 
 :func:`first_shot` sends rays from the emitters by the cosine law. :func:`shot_at_patches` aims most rays: from points
-on the emitters, sampled by power, to uniform points on each patch, the same number for each patch. Such a ray carries
-Phi A K / m, if m are aimed at a patch of area A, with K = cos cos' / (pi r^2): where A K is small, nearly the same for
-all rays. Near a lamp K is unbounded. Pairs of points with A K above a limit are therefore sampled by cosine-distributed
-rays, each of which carries Phi / N. Each pair is sampled in one of the two ways, so no light counts twice.
+on the emitters, sampled by power, to uniform points on each patch, the same number for each patch. If m rays are aimed
+at a patch of area A, each carries Phi A K / m, with K = cos cos' / (pi r^2). Where A K is small, this power is nearly
+the same for all rays; near a lamp K is unbounded. Pairs of points with A K above a limit are therefore sampled by
+cosine-distributed rays, each of which carries Phi / N. Each pair is sampled in one of the two ways, so no light counts
+twice.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ _PARTS = 16
 SEQUENCES = 4
 #: Smallest number of rays of a block of :class:`Shot`, and number of aimed rays per cosine-distributed ray.
 _BLOCK, _AIMED = 1 << 14, 8
-#: Limit of A K, the share of the light that a patch would receive if all of it were as close to the lamp as the point.
-#: Above it cosine-distributed rays are better.
+#: Limit of A K, the share of the light that a patch would receive if the whole patch were as close to the lamp as the
+#: point. Above this limit cosine-distributed rays are better.
 _NEAR = 0.3
 #: Emitters are shot if this removes at least this share of the variance of direct light.
 _MOST = 0.5
@@ -41,7 +42,7 @@ _MOST = 0.5
 class FirstShot:
     """Light of emitters, sent once by local lines.
 
-    ``emission``: (n, c) that was sent, zero for patches whose emission was not sent. ``irradiance``, ``error``: (n, c)
+    ``emission``: (n, c) emission that was sent, zero for other patches. ``irradiance``, ``error``: (n, c)
     irradiance of each patch by this light, and its standard error (infinite for a single ray). Power (c,): ``to_sky``,
     and ``lost`` to backs of faces; together with the power that patches receive it is the power that was sent.
     ``rays``: number of rays.
@@ -128,7 +129,7 @@ class Shot:
         return ShotSums(received, blocks)
 
     def result(self, sums: ShotSums) -> FirstShot:
-        """The shot from blocks, at least one of each sequence."""
+        """The shot from the sums of blocks, with at least one block of each sequence."""
         blocks = sums.blocks.sum()
         mean = sums.received.sum(axis=0) / blocks
         parts = ((found, np.full(len(mean), n)) for found, n in zip(sums.received, sums.blocks, strict=True))
@@ -163,7 +164,7 @@ class _Lamps:
         lit = sides.emitting(strength)
         self._lamps, self._targets = RaySource(scene, lit), RaySource(scene, sides)
         self._whole, self._colour = lit.edges[-1], power / np.where(strength > 0, strength, 1)[:, None]
-        #: Rays of a block: at each patch, and cosine-distributed.
+        #: Rays of a block: number of rays aimed at each patch, and number of cosine-distributed rays.
         self.each = 1 << int(np.ceil(np.log2(max(_BLOCK / n, 1))))
         self.shot = -(-n * self.each // _AIMED)
         self._areas = copied_to_device(mi.Float, np.bincount(sides.patch, sides.areas, n))
@@ -184,8 +185,8 @@ class _Lamps:
         return max(BATCH // self.rays, 1)
 
     def light(self, first: int, count: int) -> list[tuple[int, Array]]:
-        """Numbers of ``count`` blocks, ascending in each sequence, and the power (n + 2, c) that patches, the sky and
-        backs of faces receive by each."""
+        """Indices of ``count`` blocks, ascending in each sequence, and the power (n + 2, c) that patches, the sky and
+        backs of faces receive from each block."""
         turns = [
             range(first + (k - first) % len(self.sequences), first + count, len(self.sequences))
             for k in range(len(self.sequences))
@@ -195,7 +196,7 @@ class _Lamps:
         return list(zip((block for turn in turns for block in turn), received, strict=True))
 
     def _points(self, turns: list[range], size: int) -> list[mi.Float64]:
-        """Points of blocks of this size, sequence by sequence."""
+        """Points of blocks of ``size`` points, sequence by sequence."""
         parts = [
             points.lanes(mi.UInt32, len(turn) * size, turn.start // len(turns) * size)
             for points, turn in zip(self.sequences, turns, strict=True)
@@ -226,7 +227,7 @@ class _Lamps:
         scene, n = self.scene, len(self.emission)
         table = self._points(turns, self.each)
         dr.eval(table)
-        # Lane by lane the rays at a patch, patch by patch, block by block.
+        # Lanes are ordered by block, then by patch, then by ray.
         lane = dr.arange(mi.UInt32, count * n * self.each)
         row = lane >> self._bits
         block = row // self._patches
@@ -257,10 +258,10 @@ def small_emitters(patches: Patches, rays_per_segment: float) -> NDArray[np.bool
     """(n,) the emitters whose light is better sent by a shot with ``rays_per_segment`` rays for each segment of global
     lines.
 
-    A ray from an emitter reduces the variance of its light as much as a line that meets it, an aimed ray reduces it
-    more. Rays are distributed by power, lines by area. So the brightest emitters are taken, as long as each gets more
-    rays than lines; but none, if the others have half of the variance, which for equal patches is proportional to the
-    sum of ``E^2 A``.
+    A ray from an emitter reduces the variance of its light as much as a line that meets the emitter; an aimed ray
+    reduces it more. Rays are distributed by power, lines by area. So the brightest emitters are taken, as long as each
+    gets more rays than lines. None are taken if the others have half of the variance, which for equal patches is
+    proportional to the sum of ``E^2 A``.
     """
     strength, areas = patches.emission.sum(axis=1), patches.areas
     order = np.argsort(-strength, kind="stable")
@@ -283,7 +284,7 @@ def _emission(patches: Patches, emitters: NDArray[np.bool_] | None) -> Array:
 
 
 def _replicates(points: PointSet) -> list[PointSet]:
-    """Independently randomised copies of the points, determined by their seed."""
+    """Independently randomised copies of the points; the first point determines their seeds."""
     seed = int(np.bitwise_xor.reduce(points.block(1).ravel().view(np.uint64)))
     return [points.randomised(seed_key(seed, "replicate", k)[0]) for k in range(SEQUENCES)]
 
@@ -292,8 +293,7 @@ def _shot(patches: Patches, emission: Array, mean: Array, error: Array, rays: in
     """The shot from received power (n + 2, c) and its standard error."""
     areas = patches.areas[:, None]
     sent, received, leaving = (areas * emission).sum(axis=0), mean[:-2].sum(axis=0), mean[-2:].sum(axis=0)
-    # Only cosine-distributed rays leave the scene. Their estimate has the larger variance, so it is the one that is
-    # scaled.
+    # Only cosine-distributed rays leave the scene. The power that leaves has the larger variance, so it is scaled.
     leaves = (leaving > 0) & (received < sent)
     outside = np.divide(sent - received, leaving, out=np.ones_like(sent), where=leaves)
     inside = np.divide(sent - outside * leaving, received, out=np.zeros_like(sent), where=received > 0)

@@ -41,7 +41,7 @@ class Transport(Protocol):
         ...
 
     def gather(self, values: Array, sky: Array) -> Array:
-        """F values, with the value of the sky; (n, c)."""
+        """F values plus the light of the sky; (n, c)."""
         ...
 
 
@@ -49,9 +49,9 @@ class Transport(Protocol):
 class Solution(InNotebooks):
     """Radiosities of patches.
 
-    ``radiosity``: (n, c) light that leaves, per area. ``irradiance``: (n, c) light that arrives. ``sky_share``: (n,).
-    ``residuals``: after each iteration, the largest absolute residual of the system in units of the largest
-    emission or light from the sky; of the system that is left after a ``shot``, if one is given.
+    ``radiosity``: (n, c) light that leaves, per area. ``irradiance``: (n, c) light that arrives, per area.
+    ``sky_share``: (n,). ``residuals``: after each iteration, the largest absolute residual of the system in units of
+    the largest emission or light from the sky. With a ``shot`` it is that of the system for the remaining light.
     """
 
     patches: Patches
@@ -63,7 +63,7 @@ class Solution(InNotebooks):
 
     @property
     def residual(self) -> float:
-        """The last residual; not a number for an ambient solution, which solves no system."""
+        """The last residual; NaN for an ambient solution, which solves no system."""
         return self.residuals[-1] if self.residuals else float("nan")
 
     @cached_property
@@ -79,8 +79,8 @@ class Solution(InNotebooks):
         }
 
     def irradiance_error(self, segments: Segments) -> Array:
-        """(n, c) standard error of the irradiance from lines and shot, for the last bounce, which is nearly all of it.
-        ``segments``: those used for the solution. Raises :class:`RadiosityError` for one batch."""
+        """(n, c) standard error of the irradiance from lines and shot, for the last bounce only, which is nearly all of
+        it. ``segments``: the segments used for the solution. Raises :class:`RadiosityError` for one batch."""
         error = segments.gather_error(self._by_lines, self.patches.sky)
         return error if self.shot is None else np.hypot(error, self.shot.error)
 
@@ -124,11 +124,11 @@ def solve(
     ``direct``             elimination, a channel at a time; on form factors of some thousand patches
     ====================== ============================================================================================
 
-    shot: of :func:`first_shot`: light of emitters sent by rays. The system is then solved for the reflected part: B = E
-        + R, R = rho (D + F R), with the irradiance D of the shot in place of F E.
+    shot: from :func:`first_shot`: light of emitters sent by rays. The system is then solved for the reflected part:
+        B = E + R, R = rho (D + F R), with the irradiance D of the shot in place of F E.
     tolerance: of the residual, see :class:`Solution`.
-    ambient: spread what is left after ``max_iterations`` by this ambient term, instead of raising an error. The
-        solution then does not depend on the solver alone, and ``max_iterations`` of 2 or 3 are of use.
+    ambient: spread the light that is left after ``max_iterations`` by this ambient term, instead of raising an error.
+        The solution then also depends on the term, and ``max_iterations`` of 2 or 3 may suffice.
 
     Raises :class:`RadiosityError` if nothing emits, if a solver does not support the transport, if a shot belongs to
     other patches, or if the solver has not converged after ``max_iterations`` and there is no ``ambient`` term.
@@ -164,7 +164,7 @@ def solve(
 
 
 def check_direct(patches: int) -> None:
-    """Raise :class:`RadiosityError` if the direct solution for so many patches does not fit into memory."""
+    """Raise :class:`RadiosityError` if the direct solution for this number of patches does not fit into memory."""
     free = free_memory()
     if free is not None and 24 * patches**2 > free:
         raise RadiosityError(
@@ -199,7 +199,7 @@ class _Steps(ABC):
 
     @property
     def matrix(self) -> scipy.sparse.csr_array:
-        """F as CSR; :func:`solve` has checked that there is one."""
+        """F as CSR; :func:`solve` has checked that the transport is a matrix."""
         assert isinstance(self.transport, FormFactors)
         return self.transport.matrix
 
@@ -248,8 +248,8 @@ class _Southwell(_Gathering):
 
 
 class _ConjugateGradient(_Steps):
-    """With B = E + sqrt(rho) y and symmetric W F: (W - sqrt(rho) W F sqrt(rho)) y = sqrt(rho) W H(E), preconditioned by
-    W. All channels are solved together."""
+    """With B = E + sqrt(rho) y and symmetric W F: (W - sqrt(rho) W F sqrt(rho)) y = sqrt(rho) W H(E), where H(E) is the
+    irradiance from emission and sky; preconditioned by W. All channels are solved together."""
 
     def __init__(self, patches: Patches, transport: Transport) -> None:
         super().__init__(patches, transport)
@@ -260,7 +260,7 @@ class _ConjugateGradient(_Steps):
                 "segments"
             )
         self.weights, self.root = weights[:, None], np.sqrt(self.reflectance)
-        self.residual = self.root * self.irradiance  # divided by W: preconditioned
+        self.residual = self.root * self.irradiance  # divided by W, the preconditioner
         self.direction = self.residual.copy()
         self.square = self._dot(self.residual, self.residual)
 

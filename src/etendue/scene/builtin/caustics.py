@@ -68,7 +68,7 @@ def _diffuse(*value: float) -> dict[str, Any]:
 
 
 def _rectangle(corner: Vector, along: Vector, across: Vector, bsdf: dict[str, Any]) -> dict[str, Any]:
-    """The parallelogram of two edges from a corner, facing along x across."""
+    """The parallelogram of two edges from a corner; its normal is the direction of ``along`` x ``across``."""
     import mitsuba as mi
 
     u, v = np.array(along) / 2, np.array(across) / 2
@@ -92,7 +92,7 @@ def _room() -> dict[str, Any]:
         "left": _rectangle((x0, y0, z1), (0, 0, -depth), (0, height, 0), side),
         "right": _rectangle((x1, y0, z0), (0, 0, depth), (0, height, 0), side),
         "ceiling": _rectangle((x0, y1, z0), (width, 0, 0), (0, 0, depth), ceiling),
-        # The floor goes around the pool.
+        # The floor surrounds the pool.
         "floor-back": _rectangle((x0, y0, q0), (width, 0, 0), (0, 0, z0 - q0), floor),
         "floor-front": _rectangle((x0, y0, z1), (width, 0, 0), (0, 0, q1 - z1), floor),
         "floor-left": _rectangle((x0, y0, q1), (p0 - x0, 0, 0), (0, 0, q0 - q1), floor),

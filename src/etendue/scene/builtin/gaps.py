@@ -1,7 +1,7 @@
-"""A room lit through two narrow gaps in a row: a lamp in the third chamber, which faces away from the gap before it.
+"""A room lit through two narrow gaps, by a lamp in the second chamber behind it that faces away from the gap.
 
-Light must pass the gap between the third chamber and the second, and the one between the second and the room, which are
-not opposite each other. Few paths of the camera or of the lamp pass either, and hardly a path passes both.
+Light must pass the gap between the second chamber and the first, and the gap between the first chamber and the room,
+which are not opposite each other. Few paths of the camera or of the lamp pass one gap, and hardly any pass both.
 """
 
 from __future__ import annotations

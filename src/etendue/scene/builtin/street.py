@@ -126,7 +126,7 @@ def _facades(centres: Array) -> dict[str, Any]:
 
 
 def _things() -> dict[str, Any]:
-    """What stands in the street that the camera sees."""
+    """The objects in the street that the camera sees."""
     body = np.array([[[-2.3, 0.3, 7.4], [-0.7, 0.85, 11.4]], [[-2.2, 0.85, 8.2], [-0.8, 1.4, 10.5]]])
     wheels: dict[str, Any] = {
         f"wheel{k}": {

@@ -55,7 +55,7 @@ _CAUSTICS_NOTE = (
 
 
 def bundled() -> dict[str, BundledScene]:
-    """Every bundled scene by name, the one for demonstration first."""
+    """Every bundled scene by name, the demonstration scene first."""
     rows = (
         (
             "caustics",
@@ -93,7 +93,7 @@ def cornell_box() -> dict[str, Any]:
 
 
 def cornell_glass() -> dict[str, Any]:
-    """The scene of the benchmarks of time: glass and rough metal under a small light, 512x512, depth 10."""
+    """The scene of the timing benchmarks: glass and rough metal under a small light, 512x512, depth 10."""
     scene = cornell_box()
     scene["integrator"]["max_depth"] = 10
     scene["sensor"]["film"] |= {"width": 512, "height": 512, "rfilter": {"type": "box"}}

@@ -16,9 +16,9 @@ from .values import COLOUR, NUMBER, TEXTURE, TRANSFORM, VECTOR, Value, for_file
 if TYPE_CHECKING:
     import mitsuba as mi
 
-#: Names of vectors that are no colours.
+#: Names of vectors that are not colours.
 _VECTORS = frozenset({"position", "direction"})
-#: Properties of shapes that their transform holds, once it is read from a built scene.
+#: Properties of shapes that the transform of a built shape includes.
 _IN_TRANSFORM = ("center", "radius", "p0", "p1")
 
 
@@ -46,8 +46,8 @@ class ParameterChanges:
 
 
 def name_elements(state: mi.parser.ParserState) -> None:
-    """Give the elements of a parsed scene that have no name one that is the same whenever the file is read: the type,
-    and a number among all objects of this type."""
+    """Name the elements of a parsed scene that have no name by their type and a number among all objects of this type.
+    The names are the same whenever the file is read."""
     import mitsuba as mi
 
     below = read_properties(state.root.props).values()
@@ -89,7 +89,7 @@ def _set(state: mi.parser.ParserState, key: str, value: Value) -> None:
 
 
 def _put(props: mi.Properties, name: str, kind: str, value: Value) -> None:
-    """Set a property, and remove those that describe the same thing in another way."""
+    """Set a property, and remove properties that describe the same quantity in another way."""
     before = read_properties(props)
     instead: tuple[str, ...] = ()
     plugin = props.plugin_name()

@@ -26,19 +26,19 @@ class SceneParameter:
 
     key: str  #: as ``mi.traverse`` names it, such as ``lamp.emitter.radiance.value``
     kind: str  #: see :mod:`.values`
-    group: str  #: of what: ``light``, ``material`` or ``shape``
+    group: str  #: ``light``, ``material`` or ``shape``
     plugin: str  #: plugin of the object that has it, such as ``diffuse``
     allowed: Range
-    value: Value  #: at present
+    value: Value  #: the current value
 
     @property
     def element(self) -> str:
-        """Name of the scene's element that it belongs to."""
+        """Name of the scene's element that the parameter belongs to."""
         return self.key.split(".", 1)[0]
 
     @property
     def label(self) -> str:
-        """Its name within the element."""
+        """Name of the parameter within the element."""
         return self.key.split(".", 1)[-1].removesuffix(".value")
 
     def to_dict(self) -> dict[str, Any]:
@@ -54,11 +54,11 @@ class SceneEditor:
     """Parameters of a loaded scene, and changes of their values in place.
 
     ``scene`` must have been loaded with a change (such as :func:`name_elements`), so that its elements have names and
-    are not merged. The caller prepares methods anew after a change, because their tables of lights are old.
+    are not merged. The caller prepares methods anew after a change, because their tables of lights are outdated.
     """
 
     scene: mi.Scene
-    fixed: bool = False  #: whether places are in other coordinates than the file's, so that they cannot be edited here
+    fixed: bool = False  #: whether positions cannot be edited, because they are not in the file's coordinates
     _originals: dict[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -80,7 +80,7 @@ class SceneEditor:
         return found
 
     def check(self, key: str, value: Any) -> Value:
-        """``value`` as the parameter holds it. Raises :class:`OptionError` for one that it cannot have."""
+        """``value`` as the parameter holds it. Raises :class:`OptionError` for a value that it cannot have."""
         parameter = self.get(key)
         good = checked(key, parameter.kind, parameter.allowed, value)
         if key.endswith((".beam_width", ".cutoff_angle")):
@@ -117,9 +117,9 @@ class SceneEditor:
         if self.fixed and (name in ("to_world", "position") or key.endswith(".intensity.value")):
             return None
         meant = key.removesuffix(".value").rsplit(".", 1)[-1]
-        if meant == "texture" and kind != TEXTURE:  # of a spot light without one, which a file cannot have
+        if meant == "texture" and kind != TEXTURE:  # of a spot light without a texture: a file cannot set it
             return None
-        if (plugin := plugin_name(owner)).endswith("spectrum"):  # of a constant: name what it belongs to
+        if (plugin := plugin_name(owner)).endswith("spectrum"):  # a constant: name the object that has it
             plugin = plugin_name(self._values.hierarchy[owner][0])
         return SceneParameter(key, kind, group, plugin, range_of(meant, group == LIGHT), plain(value, kind))
 

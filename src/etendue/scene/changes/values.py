@@ -23,10 +23,10 @@ TRANSFORM: Final = "transform"
 TEXTURE: Final = "texture"
 
 _COUNTS = {COLOUR: 3, VECTOR: 3}
-#: Determinant from which on a transform is no longer invertible in single precision, relative to its size.
+#: Smallest determinant, relative to the largest entry, of a transform that is invertible in single precision.
 _SINGULAR = 1e-12
 
-#: Names of parameters that are shares of light, or of something else.
+#: Names of parameters that are shares, of light or of another quantity.
 _SHARES = frozenset(
     (
         *("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance", "base_color"),
@@ -49,7 +49,7 @@ class Range:
     above: bool = False
 
     def refusal(self, number: float) -> str | None:
-        """Why ``number`` is not in the range."""
+        """Why ``number`` is not in the range; ``None`` if it is."""
         if not math.isfinite(number):
             return f"finite, not {number}"
         if number < self.least or (self.above and number == self.least):
@@ -88,7 +88,7 @@ def kind_of(value: Any) -> str | None:
 
 
 def plain(value: Any, kind: str) -> Value:
-    """A value of Mitsuba as JSON holds it; that of a texture is its size as a text."""
+    """A value of Mitsuba as JSON holds it; a texture becomes the text of its size."""
     if kind == TEXTURE:
         return " x ".join(str(n) for n in value.shape[1::-1])
     array = np.asarray(value.matrix if kind == TRANSFORM else value, dtype=np.float64).ravel()
@@ -98,8 +98,8 @@ def plain(value: Any, kind: str) -> Value:
 
 
 def checked(key: str, kind: str, allowed: Range, value: Any) -> Value:
-    """``value`` as its kind. Raises :class:`OptionError` for another type, a number that is not finite or out of range,
-    a transform that cannot be inverted, and a file that is missing."""
+    """``value`` converted to its kind. Raises :class:`OptionError` for another type, a number that is not finite or out
+    of range, a transform that cannot be inverted, and a missing file."""
     if kind == TEXTURE:
         if not isinstance(value, str) or not Path(value).is_file():
             raise OptionError(f"'{key}' needs a picture file, and there is none at {value!r}")
@@ -154,7 +154,7 @@ def _numbers(value: Value) -> list[float]:
 
 
 def _four_by_four(numbers: list[float]) -> Array:
-    """The transform of a file: a transform of texture coordinates is one of space there."""
+    """The 4x4 transform for a file, also from the 3x3 transform of texture coordinates."""
     if len(numbers) == 16:
         return np.array(numbers).reshape(4, 4)
     matrix, flat = np.eye(4), np.array(numbers).reshape(3, 3)

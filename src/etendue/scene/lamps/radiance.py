@@ -19,7 +19,7 @@ from ..graph import as_array, contents, plugin_name
 SURFACES = ("rectangle", "disk", "sphere", "cylinder")
 #: Smallest and largest number of cells per axis of that square; a cell has several texels of a larger texture.
 _LEAST_CELLS, _MOST_CELLS = 32, 512
-#: Points along an axis of a cell, and in a triangle, if there are no texels to determine them.
+#: Points along an axis of a cell, and in a triangle, if no texels determine these numbers.
 _POINTS, _TRIANGLE_POINTS = 4, 64
 #: Points per texel in a triangle, where they are not a grid.
 _TEXEL_POINTS = 4
@@ -67,7 +67,7 @@ def _is_black_texture(texture: mi.Texture) -> bool:
         return bool((as_array(dict(contents(texture).values)["data"]) <= 0).all())
     try:
         return float(texture.max()) <= 0.0
-    except RuntimeError:  # a texture without a known mean
+    except RuntimeError:  # a texture without a known maximum
         return False
 
 
@@ -81,8 +81,8 @@ def _texture(emitter: mi.Emitter) -> mi.Texture | None:
 def surface_point(
     shape: mi.Shape, triangle: mi.UInt32, place: mi.Point2f, active: mi.Bool | bool = True
 ) -> mi.SurfaceInteraction3f:
-    """The point of an area light's shape for ``place`` in the unit square; barycentric coordinates in
-    ``triangle`` of a mesh."""
+    """The point of an area light's shape for ``place`` in the unit square; for a mesh, ``place`` are barycentric
+    coordinates in ``triangle``."""
     kind = plugin_name(shape)
     if kind not in SURFACES:
         met = dr.zeros(mi.PreliminaryIntersection3f)
@@ -104,7 +104,7 @@ def uniform_point(shape: mi.Shape, u: mi.Point2f, active: mi.Bool | bool = True)
 def sphere_point(
     shape: mi.Shape, p: mi.Point3f, outward: mi.Vector3f, like: mi.SurfaceInteraction3f
 ) -> mi.SurfaceInteraction3f:
-    """The point ``p`` of a spherical light; ``like``: another point of it."""
+    """The point ``p`` of a spherical light; ``like``: another point of the light."""
     to_world = dict(contents(shape).values)["to_world"]
     inwards = dr.dot(like.n, like.p - to_world @ mi.Point3f(0.0)) < 0.0
     si = dr.zeros(mi.SurfaceInteraction3f)
@@ -116,8 +116,8 @@ def sphere_point(
 
 
 def sphere_point_facing(shape: mi.Shape, normal: mi.Vector3f, like: mi.SurfaceInteraction3f) -> mi.SurfaceInteraction3f:
-    """The point of a spherical light whose normal, on the side that emits, is ``normal``; ``like``: another point of
-    it."""
+    """The point of a spherical light whose normal, on the side that emits, is ``normal``; ``like``: another point
+    of the light."""
     to_world = dict(contents(shape).values)["to_world"]
     offset = like.p - to_world @ mi.Point3f(0.0)
     outward = dr.select(dr.dot(like.n, offset) < 0.0, -normal, normal)

@@ -15,11 +15,11 @@ infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envm
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
-Next event estimation samples a spherical light by its solid angle from the lit point; emission as in the table.
-Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; that
-of a texture is measured texel by texel. An emitter that is not known to be black has a positive probability in any
-case. A projector samples its rays by its texture, not uniformly; the weights only need a density that all techniques
-share.
+Next event estimation samples a spherical light by its solid angle from the lit point; emission samples as in the table.
+Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; the
+power of a texture is measured texel by texel. An emitter that is not known to be black always has a positive
+probability. A projector samples its rays by its texture, not uniformly; the weights only need a density that all
+techniques share.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ class Light:
 
     row: mi.UInt32  #: number of the light
     emitter: mi.EmitterPtr
-    pick: mi.Float  #: probability with which next event picks it
-    emitted: mi.Float  #: probability with which emission picks it; the same, unless both have been learned
+    pick: mi.Float  #: probability with which next event estimation picks the light
+    emitted: mi.Float  #: probability with which emission picks the light; equal to ``pick`` unless both were learned
     area_density: mi.Float  #: 1/A of an area emitter or a beam, 1 of a point-like one, 1/(pi R^2) of an infinite one
     direction_density: mi.Float  #: of a point-like emitter, per solid angle; 0 for the others
-    is_delta: mi.Bool  #: no ray can hit it: point-like emitters, beams, and those with one direction
+    is_delta: mi.Bool  #: no ray can hit it: point-like emitters, beams, and emitters with one direction
     is_area: mi.Bool
     is_point: mi.Bool
     is_infinite: mi.Bool
     is_beam: mi.Bool
-    exponent: mi.Float | None  #: focus of an area emitter around its normal; None where no light of the scene has one
-    #: Centre and radius of a spherical area emitter, radius 0 for others; None where no light of the scene is one.
+    exponent: mi.Float | None  #: focus of an area emitter around its normal; None if no light of the scene has one
+    #: Centre and radius of a spherical area emitter, radius 0 for others; None if no light of the scene is spherical.
     sphere: mi.Vector4f | None
 
     def direction_pdf(self, cos: mi.Float) -> mi.Float:
@@ -70,7 +70,7 @@ class Light:
         return square_to_cosine_power_pdf(cos, self.exponent + 1.0)
 
     def direction(self, u: mi.Point2f) -> mi.Vector3f:
-        """A direction of that density around the z axis."""
+        """A direction around the z axis with the density of :meth:`direction_pdf`."""
         if self.exponent is None:
             return mi.warp.square_to_cosine_hemisphere(u)
         return square_to_cosine_power(u, self.exponent + 1.0)
@@ -121,12 +121,12 @@ class LightTable:
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         self._emitted, self._emitted_cdf = self._pick, self._cdf
-        #: Whether the probabilities are not those by power.
+        #: Whether the probabilities are learned, not proportional to power.
         self.is_learned = False
-        #: (count,) whether rays leave a light in directions that :class:`Light` has a density of, so that they can be
-        #: sampled from others; on the host.
+        #: (count,) whether :class:`Light` has the density of a light's ray directions, so that another distribution can
+        #: sample them; on the host.
         self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
-        #: (count,) whether a light is a sphere of even radiance, from which as many rays leave in all directions.
+        #: (count,) whether a light is a sphere of uniform radiance, whose rays have uniform directions.
         self.is_round = np.array([r.sphere[3] > 0.0 and r.cells is None for r in rows])
         self._middle = on_device(mi.Float, np.cumsum(pick) - 0.5 * pick)
         # A hit has only a pointer to its emitter: registry numbers map it to rows.
@@ -136,20 +136,20 @@ class LightTable:
         self._row_of = on_device(mi.UInt32, row_of)
 
     def pick(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
-        """Pick an emitter with probability proportional to its power."""
+        """Pick an emitter for next event estimation, by :attr:`probabilities`."""
         if self.count == 1:
             return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self.row(self._cdf.sample(u, active), active)
 
     def pick_emitting(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
-        """Pick an emitter for emission."""
+        """Pick an emitter for emission, by its own probabilities if they were learned."""
         if self.count == 1:
             return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self.row(self._emitted_cdf.sample(u, active), active)
 
     def picked_by(self, direct: Array, emitted: Array) -> LightTable:
-        """The same lights, picked with other probabilities, (count,) each: by next event, and by emission. They are
-        rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
+        """The same lights, picked with other probabilities, (count,) each: for next event estimation, and for emission.
+        Probabilities are rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
         table.is_learned = True
         table.probabilities = _in_steps(direct)
@@ -160,13 +160,13 @@ class LightTable:
         return table
 
     def left_by_pick(self, u: mi.Float) -> mi.Float:
-        """The remainder of a number that picks an emitter: uniform in [0, 1), independent of the emitter."""
+        """The remainder of the number ``u`` after picking an emitter: uniform in [0, 1), independent of the emitter."""
         if self.count == 1:
             return u
         return dr.clip(self._cdf.sample_reuse(u)[1], 0.0, 1.0 - 2.0**-24)
 
     def number_of(self, row: mi.UInt32, active: mi.Bool | bool = True) -> mi.Float:
-        """A number with which :meth:`pick` picks the light ``row``; for one that is never picked, that of another."""
+        """A number with which :meth:`pick` picks the light ``row``; if that is never picked, that of another light."""
         return dr.gather(mi.Float, self._middle, row, active)
 
     def of(self, emitter: mi.EmitterPtr, active: mi.Bool | bool = True) -> Light:
@@ -219,7 +219,7 @@ class _Row:
     exponent: float = 0.0
     is_projector: bool = False
     cells: RadianceCells | None = None  #: of an area light whose radiance varies
-    sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical one
+    sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical light
 
 
 def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:

@@ -44,8 +44,8 @@ def register() -> None:
 
 
 def object_type(name: str) -> mi.ObjectType | None:
-    """What kind of object a plugin of étendue makes; ``None`` for other names. Mitsuba knows it only once it is
-    built."""
+    """The type of object that a plugin of étendue makes; ``None`` for other names. Mitsuba knows the type only once the
+    object is built."""
     import mitsuba as mi
 
     types = ((_BSDFS, mi.ObjectType.BSDF), (_EMITTERS, mi.ObjectType.Emitter), (_SENSORS, mi.ObjectType.Sensor))

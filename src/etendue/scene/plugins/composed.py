@@ -18,8 +18,9 @@ def composed_bsdf(f: Integrand) -> mi.BSDF:
 
     Parameters
     ----------
-    f: the BRDF, a function of (u, v), the direction towards the light (x, y, z) and that towards the eye; unit vectors
-        in the frame of the surface, z its normal. Scalar, or a colour of three values; it must run on the device.
+    f: the BRDF, a function of (u, v), the direction towards the light (x, y, z) and the direction towards the eye; unit
+        vectors in the frame of the surface, with the normal z. Scalar, or a colour of three values; it must run on the
+        device.
 
     One-sided; wrap it in ``twosided`` for both sides. Directions are sampled by the cosine, since a general function
     cannot be sampled, so narrow lobes are noisy. ``etendue.check`` tests whether it conserves energy and is reciprocal.

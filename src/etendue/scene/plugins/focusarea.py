@@ -8,8 +8,8 @@ has the same power, and along the normal it is (n + 2) / 2 times as bright.
 Parameters: ``radiance`` (1), a colour or texture: the radiance of a diffuse light with the same radiosity; ``exponent``
 (0), a number of at least 0; ``sampling_weight`` as in every emitter. It is nested in a shape, as ``area`` is.
 
-Sampling densities: points p_A as in ``area`` (the shape's own, or by the texture), directions of emitted rays
-(n + 2) / (2 pi) cos^(n + 1), so that a ray carries pi radiance / p_A; from a given point as in ``area``.
+Sampling densities: points p_A as in ``area`` (the shape's own, or by the texture); directions of emitted rays
+(n + 2) / (2 pi) cos^(n + 1), so that a ray carries pi radiance / p_A; directions from a given point as in ``area``.
 """
 
 from __future__ import annotations

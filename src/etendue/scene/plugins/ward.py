@@ -62,8 +62,8 @@ class WardLobe:
         larger = dr.maximum(self.alpha_u, self.alpha_v)
         least = dr.minimum(0.25 * larger * dr.square(larger), 0.05)
         value = gauss * dr.rsqrt(dr.maximum(wi.z, least) * dr.maximum(wo.z, least))
-        # Slopes have density 4 gauss, solid angles of half vectors 4 gauss / cos^3, of mirrored directions 1/4 of it
-        # over the cosine [Walter 2005].
+        # The density of slopes is 4 gauss; of half vectors, per solid angle, 4 gauss / h.z^3; of mirrored directions
+        # the latter over 4 dot(h, wi) [Walter 2005].
         return value, gauss / (dr.dot(h, wi) * h.z * dr.square(h.z))
 
     def sample(self, wi: mi.Vector3f, u: mi.Point2f) -> mi.Vector3f:

@@ -9,7 +9,7 @@ import mitsuba as mi
 def square_to_cosine_power(u: mi.Point2f, exponent: mi.Float) -> mi.Vector3f:
     """Direction of density (exponent + 1) / (2 pi) cos^exponent over the upper hemisphere, ``u`` in [0, 1)^2.
 
-    A point of the unit disc, lifted: cos^(exponent + 1) is uniform, as 1 - r^2 is. Exponent 1 gives Mitsuba's
+    A uniform point of the unit disc, lifted: cos^(exponent + 1) and 1 - r^2 are uniform. Exponent 1 gives Mitsuba's
     ``square_to_cosine_hemisphere``.
     """
     disk = mi.warp.square_to_uniform_disk_concentric(u)

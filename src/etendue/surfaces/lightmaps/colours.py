@@ -13,7 +13,7 @@ from ..smoothing import VertexRadiosity
 
 Index = NDArray[np.int64]
 
-#: The share of the area whose colours are not clipped.
+#: The share of the lit area whose colours are not clipped.
 _SHOWN = 0.99
 
 
@@ -31,7 +31,7 @@ def vertex_colours(smooth: VertexRadiosity, exposure: float, name: str) -> GltfM
 
 
 def shown_exposure(values: Array, areas: Array) -> float:
-    """The exposure that keeps values (n, c) below 1 in their brightest channel on 99 % of the areas (n,)."""
+    """The exposure that keeps values (n, c) at most 1 in their brightest channel on 99 % of the lit areas (n,)."""
     brightest = values.max(axis=1)
     chosen = brightest > 0
     if not chosen.any():

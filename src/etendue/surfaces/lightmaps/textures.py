@@ -22,7 +22,8 @@ from .atlases import TexturedMesh, mesh_normals
 
 Index = NDArray[np.int64]
 
-#: A texel belongs to a triangle if its centre is inside by this part of the triangle's height; closer ones are edges.
+#: A texel is inside a triangle if its centre is at least this part of the triangle's height away from the edges; texels
+#: closer to an edge may lie in two triangles.
 _INSIDE = 1e-3
 #: Texels that are processed at once.
 _BLOCK = 1 << 21
@@ -39,7 +40,7 @@ class Lightmap:
 
 
 def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMesh, size: tuple[int, int]) -> Lightmap:
-    """:func:`lightmap_from` of ``values`` on patches. Raises :class:`SurfaceError` also if there are none at the
+    """:func:`lightmap_from` for ``values`` on patches. Also raises :class:`SurfaceError` if no patch lies on the
     mesh."""
     return lightmap_from(functools.partial(_evaluate, surfaces, values), mesh, size)
 
@@ -51,10 +52,10 @@ def lightmap_from(
 ) -> Lightmap:
     """A texture of (width, height) ``size`` with a function on the surfaces of the mesh.
 
-    evaluate: (colours (k, 3), whether there is one (k,)) at points (k, 3) with normals (k, 3).
+    evaluate: (colours (k, 3), whether there is a colour (k,)) at points (k, 3) with normals (k, 3).
 
-    Every texel whose centre lies in a triangle gets the value at that point of the patches; a triangle without such
-    texels uses its centre. All other texels get the value of the nearest of these.
+    Every texel whose centre lies in a triangle gets the value at that point; a triangle that contains no texel centre
+    gives the texel at the centre of the triangle its value. All other texels get the value of the nearest of these.
 
     Raises :class:`SurfaceError` if triangles overlap in the texture or leave the unit square, and if there is no colour
     anywhere.

@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 
 #: Groups of light paths whose spread gives the standard error.
 GROUPS = 8
-#: Multiplier of the hash by which paths join groups: neighbours of a point set must not meet.
+#: Multiplier of the hash that assigns paths to groups, so that groups do not follow the order of a point set.
 _HASH = 2654435761
 
 
@@ -76,10 +76,10 @@ def _colours(values: ArrayLike, count: int, name: str) -> Array:
 
 
 class HistogramBuilder:
-    """Counts particles in cells, pass after pass: irradiance is their power over the area of the cell.
+    """Counts particles in cells, pass after pass: irradiance is their power divided by the area of the cell.
 
-    Exact at edges and corners, since no cell extends beyond its surface; blurred by the size of the cells. Memory is
-    that of the cells. The standard error is that of the mean over ``groups`` groups of light paths.
+    The map is exact at edges and corners, since no cell extends beyond its surface, and blurred by the size of the
+    cells. Memory is that of the cells. The standard error is that of the mean over ``groups`` groups of light paths.
     """
 
     def __init__(self, surfaces: MapSurfaces, groups: int = GROUPS) -> None:
@@ -116,7 +116,7 @@ class HistogramBuilder:
 
 
 def check_groups(groups: int) -> int:
-    """A number of groups; raises :class:`SurfaceError`."""
+    """The number of groups; raises :class:`SurfaceError` for fewer than 2."""
     if not is_whole(groups) or groups < 2:
         raise SurfaceError(f"a standard error needs two groups of light paths at least, not {groups!r}")
     return int(groups)
@@ -129,8 +129,8 @@ def group_of(path: NDArray[np.uint32], groups: int) -> Index:
 
 
 def mean_of_groups(sums: Array) -> tuple[Array, Array]:
-    """(estimate, standard error) from estimates (groups, ...) by the particles of each group alone, whose sum is the
-    estimate by all. The error is NaN where all particles are in one group: of one path, or without numbers of paths."""
+    """(estimate, standard error) from ``sums`` (groups, ...): the contributions of the groups, whose sum is the
+    estimate. The error is NaN if all particles are in one group: those of one path, or without path numbers."""
     groups = len(sums)
     if np.count_nonzero(sums.any(axis=tuple(range(1, sums.ndim)))) < 2:
         return sums.sum(axis=0), np.full(sums.shape[1:], np.nan)

@@ -1,4 +1,4 @@
-"""Maps in files: what a path needs to end in them."""
+"""Maps in files: writing them, and reading them for a loaded scene."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .places import MapSurfaces, on_surfaces
 #: Arrays of a map of patches, with the names that a radiosity solution has for them.
 _PATCHES = ("vertices", "faces", "front", "back", "irradiance")
 _NEAREST = ("position", "direction", "power", "path", "k", "kernel", "correct")
-#: Patches whose centres are looked for in the scene, and the least share that must be there.
+#: Number of patches whose centres are searched on the surfaces of the scene, and least share that must be found.
 _TRIED, _THERE = 1000, 0.9
 
 
@@ -52,11 +52,11 @@ class _Saved:
 def save_map(
     path: str | os.PathLike[str], made: PatchMap | NearestMap, metadata: Mapping[str, Any] | None = None
 ) -> None:
-    """Write a map as ``.npz``, for :func:`read_map`. A map of patches has the arrays of a radiosity solution: vertices,
-    faces, irradiance; one by neighbours has its particles.
+    """Write a map as ``.npz``, for :func:`read_map`. A :class:`PatchMap` has the arrays of a radiosity solution:
+    vertices, faces, irradiance; a :class:`NearestMap` has its particles.
 
-    metadata: values for JSON. Raises :class:`SurfaceError` for another suffix, :class:`etendue.core.OutputError` if it
-    cannot be written.
+    metadata: values for JSON. Raises :class:`SurfaceError` for another suffix, :class:`etendue.core.OutputError` if the
+    file cannot be written.
     """
     if Path(path).suffix.lower() != ".npz":
         raise SurfaceError(f"a map is written as .npz, not as '{path}'; change the name")
@@ -110,7 +110,7 @@ def read_map(path: str | os.PathLike[str], problem: Problem) -> PatchMap | Neare
     return PatchMap(surfaces, irradiance, errors, smooth=smooth, kind=kind, space=problem.space)
 
 
-#: What a radiosity solution does not say.
+#: Values for a radiosity solution, whose file does not have them.
 _OTHERWISE: dict[str, Any] = {"smooth": True, "kind": "radiosity"}
 
 
@@ -118,7 +118,7 @@ def check_place(patches: Patches, problem: Problem, name: str) -> None:
     """Raise :class:`SurfaceError` if the patches are not on the surfaces of a scene."""
     chosen = np.arange(len(patches))[:: -(-len(patches) // _TRIED)]
     centres, normals = patches.centres[chosen], patches.normals[chosen]
-    # Patches of a curved surface are up to the radius of the scene times this inside it.
+    # Flat patches of a curved surface lie inside it, by up to a hundredth of the radius of the scene.
     found = on_surfaces(problem.scene, problem.space, centres, -normals, reach=1e-2 * patches.sphere[1])
     if np.count_nonzero(found.hit) < _THERE * len(chosen):
         raise SurfaceError(

@@ -4,13 +4,13 @@ With the particles i of power Phi_i at distances d_i along their surface, and ke
 
 .. math:: E(y) = \frac{\sum_i \Phi_i K(d_i / h_i) / h_i^2}{\int K(d / h) / h^2 dA}
 
-in which the integral runs over the surface around y: over 1 away from edges, 1/2 at an edge, 1/4 in a corner
-(``renormalise``). ``linear`` fits a plane to the density, so that a slope at the border makes no bias [Jones 1993;
-Walter 1998]; ``reflect`` mirrors particles at the border of flat rectangles.
+in which the integral over the surface around y is 1 away from edges, 1/2 at an edge, 1/4 in a corner
+(``renormalise``). ``linear`` fits a plane to the density, so that a slope at the border causes no bias [Jones 1993;
+Walter 1998]; ``reflect`` mirrors particles at the borders of flat rectangles.
 
-A particle counts on its own shape only, where normals agree and it lies in the tangent plane: nothing leaks to the
-other side of a sheet or around a corner. A variable kernel has at each cell the bandwidth h (E_p / g)^-1/2, E_p being a
-pilot estimate and g its geometric mean [Abramson 1982; Leeson 2001, sec. 5.7.2].
+A particle counts only on its own shape, where normals agree and it lies near the tangent plane: no light leaks to the
+other side of a sheet or around a corner. A variable kernel has at each cell the bandwidth h (E_p / g)^-1/2, with a
+pilot estimate E_p and its geometric mean g [Abramson 1982; Leeson 2001, sec. 5.7.2].
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 Index = NDArray[np.int64]
 Correction = Literal["none", "renormalise", "linear", "reflect"]
 
-#: Least cosine between the normals of a place and of a particle that counts there, and most height of the particle
-#: above its tangent plane, in bandwidths.
+#: Least cosine between the normals of a place and of a particle that counts there, and greatest height of the particle
+#: above the tangent plane of the place, in bandwidths.
 SAME_SIDE, FLAT = 0.8, 0.3
-#: Least reach of a kernel in cells, below which the integral over the surface is not known well.
+#: Least reach of a kernel in cells; with less, the integral over the surface is inaccurate.
 _LEAST_REACH = 2.0
 #: Least and greatest bandwidth of a variable kernel, relative to that of a fixed one.
 _NARROWEST, _WIDEST = 0.1, 4.0
@@ -61,7 +61,7 @@ class KernelBuilder:
     boundary: ``renormalise``, ``linear``, ``reflect`` (on flat rectangles; elsewhere ``renormalise``) or ``none``.
     groups: groups of light paths whose spread gives the standard error.
 
-    Raises :class:`SurfaceError`.
+    Raises :class:`SurfaceError` for invalid arguments.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class KernelBuilder:
     def build(self, smooth: bool = True) -> PatchMap:
         """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none.
 
-        Values of ``linear`` may be below zero in the dark beside light: without them the mean of maps would be too
-        bright there.
+        Values of ``linear`` may be below zero in the dark beside light: if they were clipped, the mean of maps would
+        be too bright there.
         """
         if not self.particles:
             raise SurfaceError("there are no particles, so no map: add some first")
@@ -120,7 +120,7 @@ class KernelBuilder:
         return PatchMap(self.surfaces.places, values, errors, smooth=smooth, kind="kernel", space=self.surfaces.space)
 
     def _weights(self) -> Array:
-        """(n, moments) factors of the sums, by the same sums over the surface instead of the particles."""
+        """(n, moments) factors of the sums, from the same sums over the surface instead of the particles."""
         n = len(self.bandwidths)
         if self.boundary == "none":
             return np.ones((n, 1))
@@ -137,11 +137,11 @@ class KernelBuilder:
             return plain[:, None]
         u, v, uu, uv, vv = found[:, 1:].T
         system = np.moveaxis(np.array([[share, u, v], [u, uu, uv], [v, uv, vv]]), 2, 0) * plain[:, None, None]
-        # In bandwidths of the cell, so that all numbers are about 1.
+        # Lengths in bandwidths of the cell, so that all numbers are about 1.
         unit = np.ones((n, 3))
         unit[:, 1:] = 1 / self._frames.local_length(self.bandwidths)[:, None]
         system *= unit[:, :, None] * unit[:, None, :]
-        # A singular system has no plane: its cell keeps the plain correction.
+        # Without a regular system there is no plane: the cell keeps the plain correction.
         sound = np.linalg.det(system) > _SINGULAR
         weights = np.zeros((n, 3))
         weights[:, 0] = plain
@@ -173,7 +173,7 @@ class _Frames:
         self._surfaces = surfaces
         centre, self._unit = patches.sphere
         self._origin, self._unit = surfaces.space.from_scene(centre), self._unit * surfaces.space.scale
-        # Neighbouring lanes visit the same nodes of a tree if they are neighbours in space; cells of a face are.
+        # Neighbouring lanes visit the same nodes of a tree if they are close in space, as the cells of a face are.
         self._p = points_on_device(self._local(surfaces.space.from_scene(patches.centres)))
         self._n = normals_on_device(patches.normals)
         self._s, self._t = mi.coordinate_system(self._n)
@@ -184,7 +184,7 @@ class _Frames:
         return (rows - self._origin) / self._unit
 
     def local_length(self, lengths: Array) -> Array:
-        """Lengths of the scene's coordinates in radii of the scene."""
+        """Lengths in the scene's units, converted to radii of the scene."""
         return lengths * (self._surfaces.space.scale / self._unit)
 
     def sums(self, at: Located, values: Array, bandwidths: Array, kernel: Kernel, moments: int) -> Array:
@@ -227,7 +227,7 @@ _OF_QUADRILATERALS = np.array([[9, 3, 1, 3], [3, 9, 3, 1], [1, 3, 9, 3], [3, 1, 
 
 
 def quadrature(patches: Patches, space: RenderSpace) -> tuple[Located, Array, Index]:
-    """Four points of each face of patches, with their areas and patches."""
+    """Four points of each face of patches, with the area and the patch of each point."""
     corners = patches.vertices[patches.faces]
     is_triangle = patches.faces[:, 2] == patches.faces[:, 3]
     weights = np.where(is_triangle[:, None, None], _OF_TRIANGLES, _OF_QUADRILATERALS)

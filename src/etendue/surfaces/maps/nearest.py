@@ -2,11 +2,11 @@ r"""Maps by the k nearest particles, which are all in memory.
 
 .. math:: E(x) = \frac{\sum_i \Phi_i K(d_i^2 / r^2)}{\int K(d^2 / r^2) dA}
 
-over the particles within the distance r of the k-th one [Jensen 1996; Leeson 2001, sec. 3.5, 5.7.2]. The particle at
-the rim defines the disc and is not counted. Neighbours are those on the same side of the same shape. As in kernel maps,
+over the particles within the distance r of the k-th one [Jensen 1996; Leeson 2001, sec. 3.5, 5.7.2]. The k-th particle
+defines the disc and is not counted. Neighbours are particles on the same side of the same shape. As in kernel maps,
 they count only near the tangent plane, and the integral runs over the surface within the disc, so that edges are not
-dark. It is a sum over points of the surfaces, as many as a mean disc needs; in the much smaller discs of a caustic it
-is the whole disc.
+dark. The integral is a sum over points of the surfaces, as many as a disc of mean size needs; for the much smaller
+discs of a caustic, the area of the whole disc is used.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from .protocol import Irradiance, SurfaceParticles, points_on_device
 if TYPE_CHECKING:
     import mitsuba as mi
 
-#: Bytes of a particle in memory: arrays of the host, the tree and its payload, and what building them takes.
+#: Bytes of a particle in memory: arrays on the host, the tree and its payload, and temporary arrays for building them.
 PARTICLE_BYTES = 350
 #: Least number of quadrature points in a whole disc for the integral over the surface: four a cell.
 _LEAST_POINTS = 24.0
-#: Cells for this integral in the mean disc, and least and most of the scene.
+#: Cells for this integral in a disc of mean size, and least and greatest number of cells of the scene.
 _CELLS, _LEAST_CELLS, _MOST_CELLS = 12, 1000, 400_000
-#: Greatest distance of points of one shape, and distance of the places of shapes, in radii of the scene.
+#: Greatest distance between points of one shape, and distance between the places of sides, in radii of the scene.
 _OWN, _APART = 2.2, 5.0
 #: Factor on the squared distance of the farthest particle, so that it is not inside.
 _INSIDE = 1.0 - 1e-6
@@ -51,13 +51,14 @@ class NearestMap:
     hits: the particles, all in memory.
     k: 2 to the number of particles.
     kernel: weight of a particle in the disc, a :class:`etendue.density.Kernel` or its name.
-    correct: whether the disc is the part of it that is on the surface.
+    correct: whether only the part of the disc that is on the surface counts as its area.
     memory: bytes that the map may take; by default the free memory.
 
     The standard error is that of independent particles; hits of one path near each other are rare on fine maps. Where
     no particle counts, the irradiance is 0 and its error NaN. Where a side of a shape has fewer than ``k`` particles,
-    the disc has all of them.
-    Raises :class:`SurfaceError`, also if the particles do not fit into memory.
+    the disc contains all of them.
+
+    Raises :class:`SurfaceError` for invalid arguments, and if the particles do not fit into memory.
     """
 
     kind = "knn"
@@ -97,15 +98,15 @@ class NearestMap:
             fine = surfaces.whole.subdivided(size)
             self._least_area = dr.opaque(mi.Float, _LEAST_POINTS / 4 * size / unit**2)
             points, areas, owner = quadrature(fine, self.space)
-            # In units of the local frame, as the area of the disc.
+            # In units of the local frame, like the area of the disc.
             values = np.repeat(areas[:, None] / unit**2, 3, axis=1)
             points = Located(points.position, points.normal, points.shape, values, points.path)
             self._area = _Tree(points, self._sides.of(fine, owner), self._sides)
         self.particles, self.correct = hits, correct
-        #: Of each side: how many particles are neighbours.
+        #: For each side of a shape: the number of particles in a disc, at most k.
         there = np.bincount(side, minlength=self._sides.count)
         self._k = copied_to_device(mi.UInt32, np.minimum(there, self.k).astype(np.uint32))
-        #: Of each side of a face: the side of its shape.
+        #: For each side of a face: the side of its shape.
         of_face = self._sides.of(surfaces.patches, surfaces.places.patch)
         self._of_face = copied_to_device(mi.UInt32, of_face.astype(np.uint32))
         self._per_area = 1 / unit**2
@@ -135,11 +136,11 @@ class NearestMap:
 
 
 class _Sides:
-    """The sides of shapes, each in a place of its own, farther from the others than it is wide: a search among the
-    points of all sides finds those of one.
+    """The sides of shapes, each shifted to a place of its own. The distance between places exceeds the size of a side,
+    so that one search among the points of all sides finds only those of one side.
 
-    Coordinates are in radii of the scene, times the cubic root of the number of sides: with a thousand of them, single
-    precision rounds places to some millionths of the scene.
+    Coordinates are in radii of the scene and grow with the cube root of the number of sides: with a thousand sides,
+    single precision rounds them to some millionths of the scene.
     """
 
     def __init__(self, patches: Patches, space: RenderSpace) -> None:
@@ -156,12 +157,12 @@ class _Sides:
         self._on_device = copied_to_device(mi.Float, self._place.astype(np.float32))
 
     def of(self, patches: Patches, patch: Index) -> Index:
-        """The sides of patches with these indices, of a division of the same shapes."""
+        """The sides of the patches with the indices ``patch``, in any division ``patches`` of the same shapes."""
         found: Index = np.searchsorted(self._keys, _side_keys(patches))[patch]
         return found
 
     def located(self, positions: Array, side: Index) -> Array:
-        """Places of points (m, 3) of the render space."""
+        """Shifted positions of points (m, 3) of the render space."""
         found: Array = (positions - self._origin) / self._unit + self._place[side]
         return found
 
@@ -174,7 +175,7 @@ class _Sides:
 
 
 def _side_keys(patches: Patches) -> Index:
-    """Numbers that differ between the sides of shapes, of each patch."""
+    """For each patch a number that identifies its shape and its side."""
     assert patches.shapes is not None
     is_back = np.zeros(len(patches), np.int64)
     is_back[patches.back[patches.back >= 0]] = 1
@@ -204,7 +205,7 @@ class _Tree:
         active: mi.Bool,
     ) -> tuple[mi.Color3f, mi.Color3f]:
         """(sum of the values times the kernel on the disc of this squared radius, sum of the squares of these terms),
-        of points on the same surface."""
+        over points on the same surface."""
         import mitsuba as mi
 
         def add(

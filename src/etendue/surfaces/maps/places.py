@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 Index = NDArray[np.int64]
 
-#: Sides of the polygon that stands for a circle: its area is too small by 0.2 %.
+#: Sides of the polygon that replaces a circle: its area is too small by 0.2 %.
 _SEGMENTS = 64
 #: Distance before a particle at which the ray to it starts, relative to 1 + its largest coordinate: rounding moves a
-#: position by 2^-24 of it, and a grazing ray meets the surface some hundred times as far off.
+#: position by 2^-24 of this coordinate, and a grazing ray hits the surface some hundred times that distance away.
 _BEFORE = 1e-4
 #: Least share of the particles that must lie on the surfaces.
 _ON_SURFACES = 0.9
@@ -41,11 +41,11 @@ class MapSurfaces:
     Parameters
     ----------
     scene: an argument, or a result, of :func:`etendue.scene.load`.
-    cells: approximate number of cells; a cell is a triangle or quadrilateral of at most the area of all surfaces over
-        this number. Small faces stay whole, so there may be more.
+    cells: approximate number of cells; a cell is a triangle or quadrilateral of at most the area of all surfaces
+        divided by this number. Small faces are not divided, so there may be more cells.
 
     Raises :class:`UnsupportedError` for shapes without faces or parameters (curves, instances), :class:`SceneError` if
-    no surface can have a map.
+    no surface can have a map, :class:`SurfaceError` for an invalid number of cells.
 
     Attributes
     ----------
@@ -69,8 +69,7 @@ class MapSurfaces:
         return PatchSurfaces(self.patches)
 
     def cell_of(self, p: mi.Point3f, n: mi.Normal3f) -> Index:
-        """(m,) the cell at points, in the space of the scene, with normals on the side that is asked for; -1 where
-        there is none."""
+        """(m,) the cell at points in render space, on the side of the normals; -1 where there is none."""
         place = self.places.find(p, n, True, self.space)
         dr.eval(place.side, place.found)
         return np.where(np.array(place.found), self.places.patch[np.array(place.side)], -1)
@@ -78,8 +77,9 @@ class MapSurfaces:
     def located(self, hits: SurfaceParticles) -> Located:
         """Particles with the normals and shapes of this scene, found by a short ray along the last part of the flight.
 
-        Those that are not finite, or lie on no surface that can have a map, are left out with a warning. Raises
-        :class:`SurfaceError` for no particles, and if so many are left out that they must be of another scene.
+        Particles that are not finite or lie on no surface are left out with a warning, those on a surface that cannot
+        have a map without one. Raises :class:`SurfaceError` if no particle is left, and if so many lie on no surface
+        that they must be of another scene.
         """
         if not len(hits):
             raise SurfaceError("there are no particles, so no map: trace more light paths")
@@ -131,7 +131,7 @@ class Located:
         return len(self.path)
 
     def only(self, chosen: NDArray[Any]) -> Located:
-        """Some of them."""
+        """The chosen particles."""
         return Located(
             self.position[chosen], self.normal[chosen], self.shape[chosen], self.power[chosen], self.path[chosen]
         )
@@ -148,8 +148,8 @@ class _OnSurfaces:
 def on_surfaces(
     scene: mi.Scene, space: RenderSpace, positions: Array, directions: Array, reach: float = 0.0
 ) -> _OnSurfaces:
-    """Surfaces at positions (m, 3) in the scene's coordinates that a flight along directions (m, 3) reaches; up to
-    ``reach`` before or behind, if that is more than rounding."""
+    """Surfaces at positions (m, 3) in the scene's coordinates, hit along directions (m, 3): at most ``reach``, or the
+    tolerance for rounding if that is larger, before or behind the positions."""
     import mitsuba as mi
 
     local = space.from_scene(positions)
@@ -171,7 +171,7 @@ def on_surfaces(
 
 
 def map_patches(scene: mi.Scene, space: RenderSpace) -> Patches:
-    """The faces of the shapes of a scene with a material that has a smooth component, each a patch without material."""
+    """A patch without material for each face of those shapes whose material has a smooth component."""
     import mitsuba as mi
 
     vertices, faces, shapes, sheets, offset = [], [], [], [], 0

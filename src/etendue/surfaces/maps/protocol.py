@@ -1,4 +1,4 @@
-"""What a map of irradiance answers, and what particles must have to become one."""
+"""The interfaces of maps of irradiance, and of the particles from which they are made."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SurfaceMap(Protocol):
     def irradiance(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool = True) -> Irradiance:
         """Light that arrives at points ``p`` from the side of their unit geometric normals ``n``, both in ``space``.
 
-        Launches kernels of its own, so it must not be called in device loops: a path stores where it ends.
+        Launches kernels of its own, so it must not be called in device loops; a path stores its end point instead.
         """
         ...
 
@@ -81,14 +81,14 @@ def irradiance_at(surface_map: SurfaceMap, positions: ArrayLike, normals: ArrayL
 
 
 def points_on_device(rows: Array) -> mi.Point3f:
-    """(m, 3) numbers as points with memory of their own."""
+    """(m, 3) numbers as points on the device, copied."""
     import mitsuba as mi
 
     return mi.Point3f(*(copied_to_device(mi.Float, x) for x in np.asarray(rows, np.float32).T))
 
 
 def normals_on_device(rows: Array) -> mi.Normal3f:
-    """(m, 3) numbers as normals with memory of their own."""
+    """(m, 3) numbers as normals on the device, copied."""
     import mitsuba as mi
 
     return mi.Normal3f(*(copied_to_device(mi.Float, x) for x in np.asarray(rows, np.float32).T))

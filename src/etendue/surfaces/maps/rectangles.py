@@ -14,9 +14,9 @@ from etendue.scene import RenderSpace
 from ..patches import Patches
 from .places import Located
 
-#: How much the area and the normals of a rectangle may differ from those of its box.
+#: Tolerance of the area and the normals of faces that form a rectangle.
 _SAME = 1e-4
-#: Edges that are tried as a side.
+#: Number of edges that are tried as a side of the rectangle.
 _TRIED = 16
 
 
@@ -57,7 +57,8 @@ class Mirror:
 
 
 def _rectangle(patches: Patches, faces: NDArray[np.int64], space: RenderSpace) -> tuple[Array, Array, Array] | None:
-    """(corner, two axes (2, 3), two sides) in render space of faces that make a flat rectangle."""
+    """(corner, two axes (2, 3), two sides) in render space of faces that form a flat rectangle, else
+    ``None``."""
     normals = patches.face_normals[faces]
     if (normals @ normals[0] < 1 - _SAME).any():
         return None

@@ -14,7 +14,7 @@ from .places import MapSurfaces
 from .protocol import SurfaceParticles
 
 Rule = Literal["normal", "silverman", "cross-validation"]
-#: Particles of a shape by which its bandwidth is chosen.
+#: Largest number of particles of a shape from which its bandwidth is chosen.
 _SAMPLE = 1 << 17
 
 
@@ -25,13 +25,14 @@ def rule_bandwidths(
     kernel: Kernel | str = "epanechnikov",
     total: int | None = None,
 ) -> Array:
-    """(n,) bandwidths of cells: one for each shape, by its particles in the two directions in which it extends most.
+    """(n,) bandwidths of cells: one for each shape, from its particles in their two directions of largest variance.
 
     The rules are :func:`normal_reference`, :func:`silverman` and :func:`cross_validation`, weighted by power. They are
-    meant for flat shapes; on others they give a width of the right order.
+    meant for flat shapes; on other shapes they give a bandwidth of the right order.
 
-    hits: particles, such as those of a first pass. total: number of particles of the map, if it has more: bandwidths
-    shrink by its sixth root. A shape with fewer than three particles gets the mean of the others.
+    hits: particles, such as those of a first pass. total: number of particles of the map, if it has more than ``hits``:
+    bandwidths shrink by the sixth root of the ratio. A shape with fewer than three particles gets the mean bandwidth of
+    the other shapes.
 
     Raises :class:`SurfaceError` for an unknown rule, or if no shape has enough particles.
     """

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 Index = NDArray[np.int64]
 
-#: Offset of a continued ray, in radii. With less it hits the same face again; with more it skips thin gaps.
+#: Offset of a continued ray, in radii. A smaller one makes it hit the same face again, a larger one skip thin gaps.
 STEP = 1e-6
 
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of rays: for rays with a hit the ray index, the distance in radii, and the face. Host arrays."""
+    """First hits: for each ray with a hit its index, the distance in radii, and the face. Host arrays."""
 
     ray: Index
     distance: NDArray[np.float32]
@@ -33,8 +33,8 @@ class Hits:
 
 
 class RayScene:
-    """Patches as a scene for rays. ``centre`` and ``radius`` convert between their coordinates and those of the
-    scene."""
+    """Patches as a scene for rays, in unit coordinates: relative to the ``centre`` of the patches, in units of their
+    ``radius``."""
 
     def __init__(self, patches: Patches) -> None:
         use_variant()
@@ -57,11 +57,11 @@ class RayScene:
         self._sky = dr.opaque(mi.UInt32, n)
 
     def local(self, points: Array) -> Array:
-        """Coordinates of the scene."""
+        """Points (k, 3) in unit coordinates."""
         return (points - self.centre) / self.radius
 
     def first_hits(self, origins: Array, directions: Array) -> Hits:
-        """Closest hits of rays (n, 3), in coordinates of the scene."""
+        """Closest hits of rays with origins and directions (k, 3), in unit coordinates."""
         import mitsuba as mi
 
         ray = mi.Ray3f(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
@@ -71,7 +71,7 @@ class RayScene:
         return Hits(hit, distance[hit], self._face[triangle[hit]])
 
     def first_patches(self, origins: Array, directions: Array) -> Index:
-        """The patch that each ray (n, 3) hits first; ``n`` for the sky, ``n + 1`` for the back of a face."""
+        """The patch that each ray (k, 3) hits first; of n patches, ``n`` is the sky, ``n + 1`` the back of a face."""
         import mitsuba as mi
 
         if len(origins) == 0:  # Dr.Jit cannot trace empty arrays
@@ -81,7 +81,7 @@ class RayScene:
     def hit(
         self, origins: mi.Point3f, directions: mi.Vector3f, active: mi.Bool | bool = True
     ) -> mi.PreliminaryIntersection3f:
-        """The same on the device, of lanes of points and directions: a ``PreliminaryIntersection3f``."""
+        """:meth:`first_hits` on the device, for lanes of points and directions."""
         import mitsuba as mi
 
         ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
@@ -101,19 +101,20 @@ class RayScene:
         return dr.select(is_hit, patch, self._sky)
 
     def normal_of(self, hit: mi.PreliminaryIntersection3f) -> mi.Vector3f:
-        """Normals of front sides, zero without a hit."""
+        """Normals of the front sides of the faces that were hit; zero without a hit."""
         import mitsuba as mi
 
         return dr.gather(mi.Vector3f, self._normals, hit.prim_index, hit.is_valid())
 
     def face_of(self, hit: mi.PreliminaryIntersection3f) -> mi.UInt32:
-        """Faces, 0 without a hit."""
+        """The faces that were hit; 0 without a hit."""
         import mitsuba as mi
 
         return dr.gather(mi.UInt32, self._faces, hit.prim_index, hit.is_valid())
 
     def sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
-        """Patches of the sides of faces towards the origin of rays, and away from it; ``n + 1`` for the back of one."""
+        """Patches of the sides of faces towards the origins of rays, and away from them; ``n + 1`` for a back without a
+        patch."""
         front, back = self.patches.front[face], self.patches.back[face]
         back = np.where(back < 0, len(self.patches) + 1, back)
         is_back = (self.patches.face_normals[face] * directions).sum(axis=1) > 0

@@ -20,7 +20,7 @@ class Sides:
     """Sides of triangles from which rays start, grouped by patch."""
 
     corners: Array  #: (s, 3, 3), in unit coordinates
-    normals: Array  #: (s, 3), to the side's own half-space
+    normals: Array  #: (s, 3), into the half-space of the side
     patch: Index  #: (s,) ascending
     face: Index  #: (s,)
     edges: Array  #: (s + 1,) cumulated areas
@@ -79,7 +79,7 @@ def cosine_law(u: Array) -> Array:
 
 
 def around(normals: Array, ways: Array) -> Array:
-    """Directions ``ways`` (k, 3), given in frames whose third axes are ``normals``."""
+    """Directions in space from ``ways`` (k, 3), given in frames whose third axes are ``normals``."""
     a, b = across(normals)
     return ways[:, :1] * a + ways[:, 1:2] * b + ways[:, 2:] * normals
 

@@ -15,7 +15,7 @@ from etendue.core import Array, copied_to_device
 from .raycasting import STEP, RayScene
 from .sides import Sides
 
-#: Rays at once.
+#: Rays traced at once.
 BATCH = 1 << 20
 #: The largest number below 1.
 _BELOW_ONE = float(np.nextafter(1, 0))
@@ -40,7 +40,7 @@ class Places:
 
 
 class RaySource:
-    """Sides on the device: one of all sides, or one of a patch, is sampled by its share of ``Sides.edges``."""
+    """Sides on the device: samples one of all sides, or one of a patch, in proportion to its share of ``edges``."""
 
     def __init__(self, scene: RayScene, sides: Sides) -> None:
         self.scene, self.sides = scene, sides
@@ -94,7 +94,7 @@ def cosine_lanes(u: mi.Float64, v: mi.Float64) -> mi.Vector3f:
 
 
 def even_lanes(u: mi.Float64, v: mi.Float64) -> mi.Vector3f:
-    """The same, evenly spread over both angles: theta = pi/2 u, phi = 2 pi v."""
+    """Directions evenly spread over both angles: theta = pi/2 u, phi = 2 pi v."""
     sine, cosine = dr.sincos(dr.two_pi * mi.Float(v))
     r, z = dr.sincos(dr.pi / 2 * mi.Float(u))
     return mi.Vector3f(r * cosine, r * sine, z)
@@ -106,6 +106,6 @@ def columns(u: Array) -> list[mi.Float64]:
 
 
 def pairs_of(one: mi.UInt32, other: mi.UInt32) -> NDArray[np.uint32]:
-    """Lanes of numbers as a NumPy array (k, 2), evaluated in one kernel."""
+    """Two arrays of lanes as a NumPy array (k, 2), evaluated in one kernel."""
     both = mi.UInt64(one) | (mi.UInt64(other) << 32)
     return np.array(both).view(np.uint32).reshape(-1, 2)

@@ -43,8 +43,8 @@ def read_patches(
         values.
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
-    objects: an array of the file with the number of an object for each face, negative for walls; these are then the
-        ``shapes`` of the patches, for :func:`find_objects`.
+    objects: an array of the file with the number of an object for each face, negative for walls; the objects become
+        the ``shapes`` of the patches, for :func:`find_objects`.
 
     Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
     a warning. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of faces, or
@@ -104,7 +104,7 @@ def _set_shapes(patches: Patches, labels: Index, numbers: Index, array: str) -> 
 
 
 def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
-    """Patches with temperatures, one for all or one for each front; a back has that of its front."""
+    """Patches with temperatures: one for all, for each front (a back has that of its front), or for each patch."""
     if patches.channels > 1:
         raise PatchError("grey bodies have one reflectance, not one for each channel: see thermal() for bands")
     back = patches.other_side[patches.other_side >= 0]

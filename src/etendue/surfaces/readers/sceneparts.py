@@ -1,4 +1,4 @@
-"""Patches of a Mitsuba scene with instances: those of each shape group once, and where its instances are."""
+"""Patches of a Mitsuba scene with instances: the patches of each shape group once, and the places of its instances."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def has_instances(scene: Any) -> bool:
 def scene_parts(
     scene: Any, *, max_area: float | None = None, segments: int = 32
 ) -> tuple[Patches | None, list[tuple[Patches, Array]]]:
-    """Patches of the shapes that are no instances, ``None`` if there are none, with the sky; and for each shape group
-    that has instances its patches, in coordinates of the group, and the transforms (k, 4, 4) of the instances.
+    """Patches, with the sky, of the shapes that are no instances (``None`` if there are none); and for each shape group
+    with instances its patches, in coordinates of the group, and the transforms (k, 4, 4) of the instances.
 
-    Arguments and what is raised as of :func:`scene_patches`; ``max_area`` is as large in the scene as given, for the
-    largest instance of each group.
+    Arguments and errors are those of :func:`scene_patches`; ``max_area`` is the area in the scene, for the largest
+    instance of each group.
     """
     use_variant()
     scene, space = loaded_scene(scene)
@@ -64,7 +64,7 @@ def _is_instance(shape: Any) -> bool:
 
 
 def _group_of(instance: Any) -> str:
-    # Mitsuba tells the group of an instance by its description only.
+    # In Mitsuba only the description of an instance contains its group.
     found = re.search(r'name = "(.*)"', str(instance))
     if found is None:
         raise SceneError(f"{graph.describe(instance, 'instance')} has no shape group")

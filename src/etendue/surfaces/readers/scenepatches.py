@@ -30,13 +30,14 @@ def scene_patches(
     """Patches of a scene: an ``mi.Scene``, or another argument or a result of :func:`etendue.scene.load`. Channels are
     red, green, blue.
 
-    Each face of a shape is a patch, with the mean of its textures, or each shape is one (``per="shape"``). Rectangles
-    become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them. Reflectance is that
-    of a diffuse material; other reflecting materials are replaced by diffuse ones with the same hemispherical albedo,
-    with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a ``constant`` light is
-    the sky.
+    Each face of a shape is a patch, with the mean of its textures, or each shape is a patch (``per="shape"``).
+    Rectangles become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them.
+    Reflectance is that of a diffuse material; other reflecting materials are replaced by diffuse ones with the same
+    hemispherical albedo, with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a
+    ``constant`` light is the sky.
 
-    max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`.
+    max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`; no effect with
+        ``per="shape"``.
 
     The patches know their ``shapes``, for :func:`find_objects`.
 
@@ -87,8 +88,8 @@ def patches_of(shapes: Sequence[Any], segments: int, space: RenderSpace) -> tupl
 
 
 def loaded_scene(scene: Any) -> tuple[mi.Scene, RenderSpace]:
-    """The ``mi.Scene`` for an argument of :func:`scene_patches`, and its space, which differs from that of the rays of
-    patches."""
+    """The ``mi.Scene`` for an argument of :func:`scene_patches`, and its space, which is not that of a
+    :class:`RayScene`."""
     import mitsuba as mi
 
     if isinstance(scene, mi.Scene):

@@ -48,12 +48,12 @@ def tessellate(shape: mi.Shape, segments: int) -> tuple[Array, Index, mi.Surface
 
 
 def shape_triangles(shape: mi.Shape, segments: int = 32) -> Array:
-    """Triangles (n, 3, 3) of a shape, counterclockwise from the side of its normal. Errors as :func:`tessellate`."""
+    """Triangles (n, 3, 3) of a shape, counterclockwise from the side of its normal. Raises as :func:`tessellate`."""
     points, faces, cells = _faces(shape, segments)
     if cells is None:
         corners = faces[:, [0, 2, 1]] if shape.has_flipped_normals() else faces[:, :3]
         return np.asarray(points[corners])
-    points, faces, _ = tessellate(shape, segments)  # which turns faces to the normal
+    points, faces, _ = tessellate(shape, segments)  # turns faces to the side of the normal
     first = np.where((faces[:, 1] == faces[:, 2])[:, None], faces[:, [0, 1, 3]], faces[:, :3])
     second = faces[(faces[:, 2] != faces[:, 3]) & (faces[:, 1] != faces[:, 2])][:, [0, 2, 3]]
     return np.asarray(points[np.concatenate([first, second])])
@@ -126,7 +126,7 @@ def _grid(columns: int, rows: int, wraps: bool = False, poles: bool = False) -> 
 
 
 def _disk(segments: int) -> tuple[Array, Index, Array]:
-    """The same for a fan of triangles; the parameters are radius and angle."""
+    """As :func:`_grid`, for a fan of triangles; the parameters are radius and angle."""
     k = np.arange(segments)
     uv = np.concatenate([[[0.0, 0.0]], np.stack([np.ones(segments), k / segments], axis=1)])
     after = (k + 1) % segments + 1
@@ -141,7 +141,7 @@ def _pattern() -> tuple[Array, Array]:
 
 
 def _in_cells(cells: Array, is_disk: bool) -> Array:
-    """Parameters (2, m POINTS) at points of cells."""
+    """Parameters (2, m POINTS) of ``POINTS`` points in each cell."""
     s, t = _pattern()
     pattern = np.stack([np.sqrt(s) if is_disk else s, t], axis=1)
     uv = cells[:, :1] + pattern * (cells[:, 1:] - cells[:, :1])

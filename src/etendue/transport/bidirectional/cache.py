@@ -15,7 +15,7 @@ from .vertices import LightVertex, LightVertices
 
 #: Lanes that share a random number for picking light vertices.
 PICK_BLOCK = 16
-#: What remains of a lane's number, with its bits in reverse order, is that in its block.
+#: Shift of a lane's bit-reversed number that leaves the bit-reversed number in the block.
 _STRATUM_SHIFT = 32 - 4
 
 
@@ -26,7 +26,7 @@ class Pick:
     camera: mi.UInt32  #: class of the camera vertex
     drawn: mi.Bool  #: whether there was a vertex to choose
     chance: mi.Float  #: probability of the vertex over that of a uniform choice
-    ratio: mi.Float  #: as expected before the pass, for the weights
+    ratio: mi.Float  #: ``chance`` as expected before the pass, for the weights
 
 
 @dataclass
@@ -35,8 +35,8 @@ class LightCache:
 
     With ``picks``, ``techniques.connection`` vertices are sampled from all paths [Davidovic 2014], uniformly, or by
     the classes of ``choice``. The lanes of a block share their random numbers and take consecutive vertices, which are
-    close in memory; for each lane, the vertex is uniformly distributed, or so within its class. Without ``picks``, a
-    camera path is connected to all vertices of the light path with the same number.
+    close in memory; each lane's vertex is uniformly distributed over all vertices or over its class. Without ``picks``,
+    a camera path is connected to all vertices of the light path with the same number.
     """
 
     vertices: LightVertices

@@ -28,13 +28,13 @@ from .walk import BidirectionalPath, BidirectionalWalk
 
 @dataclass(kw_only=True)
 class _State(BidirectionalPath):
-    """Loop state, one lane a camera sub-path."""
+    """Loop state, one lane per camera sub-path."""
 
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
-    worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
+    worth: mi.Float | None  #: factor on contributions to its pixel in the training of a guide; None without
     sums: Sums | None  #: of ``moments``
-    left: mi.Float | Linear | None  #: of :meth:`Mis.left_out`, at the vertex that the edge leaves
+    left: mi.Float | Linear | None  #: :meth:`Mis.left_out` at the vertex that the edge leaves
 
 
 @dataclass
@@ -52,7 +52,7 @@ class _Joined:
 class CameraWalk(BidirectionalWalk):
     """Traces camera sub-paths; :meth:`trace` is one kernel."""
 
-    # The rest of a path costs less than a new one with its light paths; measured on ten scenes.
+    # The rest of a path costs less than a new path with its light paths; measured on ten scenes.
     survival: float = 2.0
     sink: CameraSink
     cache: LightCache | None = None
@@ -61,7 +61,7 @@ class CameraWalk(BidirectionalWalk):
     choosing: ConnectionTraining | None = None  #: learns which light vertices connections should prefer
 
     def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
-        """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane a path, not
+        """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane per path, not
         yet evaluated."""
         return self.follow(self.camera.primary(pixel, source), pixel, source)
 
@@ -230,7 +230,7 @@ class CameraWalk(BidirectionalWalk):
         self.sink.add(s.layers, "connection", totals, active, Component.INDIRECT)
 
     def _blank(self, lanes: int, parts: int = 1) -> list[mi.Color3f]:
-        """Zero radiance for each radius, in so many parts for the first one."""
+        """Zero radiance for each radius, divided into ``parts`` for the first radius."""
         return [dr.zeros(mi.Color3f, lanes) for _ in range(parts + len(self.sink.more_radii))]
 
     def _join(

@@ -31,12 +31,12 @@ class LightPath(BidirectionalPath):
 
     stored: mi.UInt32  #: vertices stored so far
     kind: mi.UInt32  #: the :class:`Kind` of the vertex that the edge leads to
-    from_infinity: mi.Bool  #: the edge being traced leaves an infinite light
+    from_infinity: mi.Bool  #: whether the edge being traced leaves an infinite light
     light: mi.UInt32 | None  #: number of the light that the path left; None where no light is spherical
     waiting: mi.Float | None  #: area density that :meth:`Mis.lit` corrects at the end of the first edge; 0 after it
     nonfinite: mi.UInt32
     found: mi.Float | None  #: contributions by splats so far, for a guide of emission; None without
-    flux: mi.Float | None  #: flux at the start, to which roulette compares; None: the power of all lights
+    flux: mi.Float | None  #: flux at the start, relative to which roulette decides; None: the power of all lights
 
 
 @dataclass(kw_only=True)
@@ -52,7 +52,7 @@ class LightWalk(BidirectionalWalk):
         self, paths: int, source: SampleSource, vertices: LightVertices | None = None
     ) -> tuple[mi.UInt32, mi.UInt32]:
         """Trace ``paths`` sub-paths; their vertices are added to ``vertices`` and splatted to the sink, if given.
-        Returns (rays, non-finite splats), one lane a path, not yet evaluated."""
+        Returns (rays, non-finite splats), one lane per path, not yet evaluated."""
         numbered = self.pyramid is not None or (vertices is not None and vertices.numbered)
         state, path = self.begin(paths, source, numbered), dr.arange(mi.UInt32, paths)
         state = self.walk(state, lambda s: self._edge(s, path, source, vertices), "light walk")
@@ -93,7 +93,7 @@ class LightWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
-            # Learned emission gives little flux to paths that are worth much.
+            # Learned emission gives little flux to the paths that contribute most.
             flux=dr.sum(emitted.throughput) / 3.0 if self.lights.is_learned or self.departures is not None else None,
         )
 

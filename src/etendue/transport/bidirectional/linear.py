@@ -20,8 +20,8 @@ class Counts:
 @dataclass
 class Linear:
     """A sum of the recursion, for counts that are given later: ``end + connection n_c + merge eta_vm`` on light
-    sub-paths, ``end n_s + connection n_c + merge eta_vm`` on camera sub-paths, where ``end`` is that of the splat. In
-    products with numbers it is the left operand."""
+    sub-paths, ``end n_s + connection n_c + merge eta_vm`` on camera sub-paths, where ``end`` belongs to the splat. In
+    products with numbers, it must be the left operand."""
 
     end: mi.Float | float
     connection: mi.Float | float

@@ -1,9 +1,9 @@
-"""Multiple importance sampling over all techniques, with weights computed recursively from two numbers a sub-path.
+"""Multiple importance sampling over all techniques, with weights computed recursively from two numbers per sub-path.
 
 A path with k edges can be sampled by hitting the light (emission), by next event, by connecting two inner vertices, by
 connecting a light sub-path to the camera (splat), and by merging at any inner vertex. The weight of technique i is
 ``(n_i p_i)^beta / sum_j (n_j p_j)^beta`` [Veach 1997, eq. 9.8; Georgiev 2012, eq. 7]. Its denominator is computed from
-two numbers that each sub-path carries, in O(1) operations a vertex [Georgiev 2012b, sec. 4]. The report's quantities
+two numbers that each sub-path carries, in O(1) operations per vertex [Georgiev 2012b, sec. 4]. The report's quantities
 are dVCM, dVC and dVM; here
 
 - ``d_vcm`` is the report's dVCM times the sample count of the technique that it describes, and
@@ -57,7 +57,7 @@ class Techniques:
     splat: bool = True  #: a light vertex is connected to the camera (t = 1)
     merge: bool = True  #: a camera vertex is merged with stored light vertices around it
     merge_first: bool = True  #: merging at the first camera vertex, too
-    direct: bool = True  #: splats and merges of vertices that light hits first, too, where next event finds the light
+    direct: bool = True  #: also splats and merges of a light path's first vertex, where next event finds the light
     beta: int = 1  #: 1 balance heuristic, 2 power heuristic
 
     @property
@@ -72,8 +72,8 @@ class Techniques:
 
 
 class Weights(list[Any]):
-    """Weights of a contribution, one a radius, and ``ratios``, one a candidate: the weights' denominator over that for
-    the candidate's counts."""
+    """Weights of a contribution, one per radius, and ``ratios``, one per candidate: the weights' denominator over that
+    for the candidate's counts."""
 
     def __init__(self, weights: Sequence[mi.Float], ratios: Sequence[mi.Float] = ()) -> None:
         super().__init__(weights)
@@ -81,7 +81,7 @@ class Weights(list[Any]):
 
 
 class Mis:
-    """The recursion and the weights for one set of techniques. Weights are lists with one entry a merging radius.
+    """The recursion and the weights for one set of techniques. Weights are lists with one entry per merging radius.
 
     Parameters
     ----------
@@ -136,11 +136,11 @@ class Mis:
         return sums
 
     def _weights(self, own: Sequence[mi.Float | float], others: Sequence[mi.Float]) -> Weights:
-        """Weights of a technique with the count ``own`` of each set, and ratios; ``others``: the other techniques'
-        densities times counts, relative to its density."""
+        """Weights of a technique with the counts ``own``, one per set, and ratios; ``others``: the other techniques'
+        densities times counts, relative to the technique's density."""
         totals = [n + other for n, other in zip(own, others, strict=True)]
         used = len(self._sets)
-        # The bound is for paths that the counts cannot sample.
+        # The bound is for paths that a candidate's counts cannot sample.
         ratios = [totals[0] / dr.maximum(total, _NEVER * totals[0]) for total in totals[used:]]
         return Weights([n / total for n, total in zip(own[:used], totals[:used], strict=True)], ratios)
 
@@ -157,7 +157,7 @@ class Mis:
 
         ``area_density``: density of the light point under next event (of the direction, for an infinite light);
         ``emission_density``: density of point and direction; both include light selection. If the former depends on
-        the lit point, pass any positive number, and correct the result by :meth:`lit` when that point is known.
+        the lit point, pass any positive number, and correct the result with :meth:`lit` when that point is known.
         """
         t = self.techniques
         d_vcm = self.power(area_density / emission_density) * self._count(t.next_event)
@@ -230,8 +230,8 @@ class Mis:
         return self._eta * dr.select(mergeable, mi.Float(1.0), mi.Float(0.0))
 
     def _sum(self, eta: Carried | None, d_vcm: Carried, reverse_pdf: mi.Float, d_vc: Carried) -> Carried:
-        """Sum over the techniques that connect or merge at the end vertex of the sub-path or before it, of their
-        densities over that of the sub-path."""
+        """Sum of the densities, over that of the sub-path, of the techniques that connect or merge at the sub-path's
+        end vertex or before it."""
         total = d_vc * self.power(reverse_pdf)
         if self.techniques.connects:
             total = total + d_vcm
@@ -265,7 +265,7 @@ class Mis:
         is_delta: mi.Bool,
     ) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) after scattering at camera vertex ``depth``; ``d_vcm`` is that of :meth:`joined`. If direct
-        light is left to next event, d_vc is that of a path which ends on a light; :meth:`left_out` is the rest."""
+        light is left to next event, d_vc is that of a path that ends on a light; :meth:`left_out` is the rest."""
         total = self._sum(*self._but_direct(depth, d_vcm, cos), reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
 
@@ -280,13 +280,13 @@ class Mis:
         return self._start(dr.zeros(mi.Float, lanes)) if self.techniques.leaves_direct else None
 
     def left_out(self, depth: mi.UInt32, d_vcm: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool) -> Carried:
-        """What :meth:`scatter_camera` left out of d_vc: merge and splat of a vertex before one that is on no light."""
+        """What :meth:`scatter_camera` left out of d_vc: merge and splat of a vertex if the next one is on no light."""
         area, splat = self._merge_area(cos, depth), dr.select(depth == 1, d_vcm, d_vcm * 0.0)
         total = splat if area is None else splat + area
         return dr.select(is_delta, total * 0.0, total * self.power(cos * dr.rcp(pdf)))
 
     def completed(self, d_vc: Carried, left: Carried, cos: mi.Float) -> Carried:
-        """``d_vc`` after :meth:`hit` with ``cos``, with what was left out at the vertex before."""
+        """``d_vc`` after :meth:`hit` with ``cos``, plus what was left out at the vertex before (``left``)."""
         return d_vc + left * dr.rcp(self.power(dr.maximum(cos, 1e-8)))
 
     def _scatter(
@@ -299,7 +299,7 @@ class Mis:
             d_vcm = Linear(zeros[0], d_vcm, zeros[1])
         return d_vcm, dr.select(is_delta, d_vc * cos, total * (cos * inverse_pdf))
 
-    # ------------------------------------------------------------------ weights, one a radius
+    # ------------------------------------------------------------------ weights, one per radius
 
     def emission_weight(
         self, depth: mi.UInt32, d_vcm: Carried, d_vc: Carried, area_density: mi.Float, emission_density: mi.Float

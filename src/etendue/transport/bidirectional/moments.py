@@ -3,8 +3,8 @@
 With the balance heuristic a contribution is f / S, where S is the sum of the densities of the path by all techniques,
 each times its sample count. The contributions of a candidate with the sum S' are f / S', and the expected sum of their
 squares over all samples of a pass is the integral of f^2 / S', to which each sample of the running pass adds its square
-times S / S' [Grittmann 2022]. The light that a candidate rarely finds thus counts in full, because the running
-pass finds it by other techniques.
+times S / S' [Grittmann 2022]. Light that a candidate rarely finds thus counts in full, because the running pass finds
+it by other techniques.
 
 The contributions of a camera path to a pixel are not independent. Let c be a contribution of the running pass, r = S/S'
 and q the candidate's count of its technique over the running one. The sum X of q r c over a camera path has the mean of
@@ -13,7 +13,7 @@ r c^2, and the products of two connections of a vertex, of which there are n (n 
 accordingly. The contributions of light paths to the camera (splats) are taken as independent.
 
 A photon is merged by several camera paths of a pixel. The weights account for that by ``eta_discount``, a factor on the
-count of merges; the square of a merge is divided by this factor.
+count of merges; the moments, by ``merge_noise``, a factor on the square of a merge.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Candidate:
 
 @dataclass
 class Sums:
-    """Loop state, one lane a camera path; lists have an entry a candidate."""
+    """Loop state, one lane per camera path; lists have an entry per candidate."""
 
     total: list[mi.Float]  #: X
     excess: list[mi.Float]  #: what is added to X^2
@@ -101,7 +101,7 @@ class Moments:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was added."""
+        """Discard all sums."""
         self.array = dr.zeros(mi.Float, self._columns * self._rows * self._stride)
         self._walked: list[mi.UInt32] = []
 

@@ -1,4 +1,4 @@
-"""Photons, the data of stored light vertices that merging reads, and their weights around a point.
+"""Photons, which are the data of stored light vertices that merging reads, and their weights around a point.
 
 The density of the photons' flux around a point of a plane estimates the irradiance at the point. At edges and on curved
 surfaces, photons of other surfaces lie within the radius. Three changes make them an estimate of the point's reflected
@@ -47,8 +47,8 @@ class Photon:
 
 @dataclass
 class Photons:
-    """Photons in the order of a search structure. Positions are an array of their own, because most candidates of a
-    search are outside the radius and only their position is read."""
+    """Photons in the order of a search structure. Positions are a separate array, because most candidates of a search
+    are outside the radius, and only their position is read."""
 
     _position: mi.Float
     _flux: mi.Float

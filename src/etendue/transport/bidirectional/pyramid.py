@@ -19,7 +19,7 @@ from etendue.film import LONGER, Technique
 from ..camera import SplatPlace
 from .mis import Techniques
 
-#: Bytes of a pixel of a layer: four floats on the device; on the host the sum of a pass, the sum of all passes, the
+#: Bytes per pixel and layer: four floats on the device; on the host the sum of a pass, the sum of all passes, the
 #: picture, and the channels that are written.
 _BYTES = 16 + 24 + 24 + 12 + 12
 #: Edges of the longest paths that a pyramid can show: light vertices store their number in four bits.
@@ -44,7 +44,7 @@ class Pyramid:
         for slot, technique in enumerate(self.techniques):
             table[int(technique.merged), technique.edges, technique.s] = slot
         self._table = on_device(mi.UInt32, table.ravel())
-        #: Weighted layers, the layer of longer paths, unweighted layers, splats of longer paths; four floats a pixel.
+        #: Weighted layers, the layer of longer paths, unweighted layers, splats of longer paths; four floats per pixel.
         #: Splats are filtered when they are added, contributions of camera paths in :meth:`layers`.
         self.array = dr.zeros(mi.Float, 4 * pixels * (2 * self._longer + 2))
 

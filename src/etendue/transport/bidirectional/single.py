@@ -1,10 +1,10 @@
-"""One technique a path: a light sub-path of s vertices, a camera sub-path of t, and the connection of their ends.
+"""One technique per path: a light sub-path of s vertices, a camera sub-path of t, and the connection of their ends.
 
 The estimator of ``bpt`` applies all techniques to all vertices of a pair of sub-paths. Here a lane has its own (s, t)
-and evaluates this technique alone, with the same recursive weight: one edge a vertex, and at most one shadow ray.
+and evaluates this technique alone, with the same recursive weight: one edge per vertex, and at most one shadow ray.
 
-Null surfaces are no vertices, so a sub-path of given length may end at each one of several surfaces in a row, of which
-all but the last also let light pass. It ends at each of them with probability 1/2.
+Null surfaces are no vertices, so a sub-path of given length may end at each of several surfaces in a row, of which all
+but the last also transmit light. It ends at each of these, except the last, with probability 1/2.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ class _CameraSide(BidirectionalWalk):
         source: SampleSource,
         components: bool,
     ) -> _CameraEnding:
-        """Sub-paths of ``edges`` edges each, 0 for none, those to lights ``emissive``; ``primary``: camera rays, as of
-        ``CameraSampler``. The last edge may have missed the scene, where the environment is seen. ``components``:
-        whether the state tells what a light at the end would be ``seen`` as."""
+        """Sub-paths of ``edges`` edges each, 0 for none. ``emissive``: sub-paths that may end at a light; ``primary``:
+        camera rays from ``CameraSampler``. The last edge may miss the scene, where the environment is seen.
+        ``components``: whether the state keeps ``seen``, the component of a light at the end."""
         lanes = dr.width(edges)
         ray, importance, aperture = primary
         density, lead = self.camera.density(ray, aperture)
@@ -140,7 +140,7 @@ def _no(lanes: int) -> mi.Bool:
     return dr.full(mi.Bool, False, lanes)
 
 
-#: What a sub-path that does not scatter at a vertex keeps.
+#: State that a sub-path keeps at a vertex where it does not scatter.
 _KEPT = (
     *("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled", "vertex", "eta", "from_infinity", "waiting"),
     *("seen", "kind"),
@@ -155,7 +155,7 @@ class _Stop:
     going: mi.Bool  #: lanes that scatter
     crossing: mi.Bool
     kept: dict[str, Any]
-    crossed: dict[str, Any]  #: what differs from ``kept`` behind a null surface
+    crossed: dict[str, Any]  #: values that replace those of ``kept`` behind a null surface
 
     @classmethod
     def at(
@@ -203,7 +203,7 @@ class SingleContribution:
     """One lane each."""
 
     position: mi.Point2f  #: on the film, in pixels
-    value: mi.Color3f  #: with its weight; times the number of techniques of its length, an estimate of all of them
+    value: mi.Color3f  #: with its weight; times the number of techniques of its length, it estimates their sum
     alone: mi.Color3f  #: without the weight
     rays: mi.UInt32
     component: mi.UInt32 | None = None  #: ``film.Component``, if asked for
@@ -213,7 +213,7 @@ class SingleContribution:
 class SingleTechnique:
     """Evaluates one technique a lane in one scene, in one kernel.
 
-    ``mis``: with one sample of each technique, and as many light sub-paths a pixel's camera path as there are pixels.
+    ``mis``: one sample of each technique, and as many light sub-paths per camera path of a pixel as there are pixels.
     """
 
     visibility: Visibility

@@ -17,9 +17,9 @@ from .pyramid import Pyramid
 
 @dataclass
 class Contribution:
-    """Contribution of one technique, one lane a path."""
+    """Contribution of one technique, one lane per path."""
 
-    weighted: Sequence[mi.Color3f]  #: with its weight, one a merging radius
+    weighted: Sequence[mi.Color3f]  #: with its weight, one per merging radius
     alone: mi.Color3f  #: without a weight, for the pyramid
     active: mi.Bool  #: lanes that add ``weighted``
     visible: mi.Bool  #: lanes that add ``alone``
@@ -65,7 +65,7 @@ class CameraSink(Sink):
         active: mi.Bool,
         component: mi.UInt32 | int | None,
     ) -> None:
-        """Add values of a technique family and a component, one a radius."""
+        """Add values of a technique family and a component, one per radius."""
         self.add_first(layers, family, values[0], active, component)
         self.add_more(layers, values[1:], active)
 
@@ -110,7 +110,7 @@ class SplatSink(Sink):
 
     splats: Splats
     paths_per_sample: mi.Float  #: light paths per camera path of a pixel, by which splats in the pyramid are divided
-    components: bool = False  #: the first images are those of ``film.REFLECTED``, and not one of all light
+    components: bool = False  #: the first images are those of ``film.REFLECTED``, instead of one image of all light
 
     def add(self, s: mi.UInt32, place: SplatPlace, contribution: Contribution, kind: mi.UInt32) -> mi.Bool:
         """Add the splat of a light sub-path of ``s`` vertices, the last of which is of a ``kind``. Returns the mask of

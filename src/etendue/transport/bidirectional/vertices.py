@@ -30,7 +30,7 @@ from .photons import (
     weighting,
 )
 
-#: Packets of four floats of a vertex, for connections and merging, and for merging only.
+#: Packets of four floats per vertex, for connections and merging, and for merging only.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
 #: Bits of a depth, without and with a vertex number, which takes four.
@@ -54,8 +54,8 @@ def needs_interaction(scene: mi.Scene) -> bool:
 
 
 class Kind(enum.IntEnum):
-    """What a light path brings to a vertex: the ``film.Component`` of its light to an eye that sees the vertex. Light
-    straight from a beam, which next event cannot sample, is told from other direct light."""
+    """Kind of the light that arrives at a light vertex: its ``film.Component`` for an eye that sees the vertex. Light
+    directly from a beam, which next event cannot sample, is distinguished from other direct light."""
 
     BEAM = 0
     DIRECT = Component.DIRECT
@@ -96,7 +96,7 @@ class LightVertices:
     connected: vertices are used for connections; if not, only the data for merging is stored.
     linear: d_vcm and d_vc are :class:`Linear`.
     owned: store the path of each vertex, also for merging.
-    numbered: store the number of each vertex on its path, up to 15; the light point is 0. Without, the depth is used,
+    numbered: store the number of each vertex on its path, up to 15; the light point is 0. Otherwise the depth is used,
         which differs from the number after null surfaces.
     """
 
@@ -118,7 +118,7 @@ class LightVertices:
         self._packets = _PACKETS if connected else _PHOTON_PACKETS
         #: Vertices of all paths, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
-        # Packets of a vertex: position, depth | index on path; throughput (fluence if only merged), d_vcm; world
+        # Packets of a vertex: position, depth | index on path | kind; throughput (fluence if only merged), d_vcm; world
         # direction to the light side, normal, d_vc; two packets of the surface; BSDF, path, fluence of unit
         # throughput, class.
         self._limit = dr.opaque(mi.UInt32, capacity)  # opaque, because the capacity depends on the seed

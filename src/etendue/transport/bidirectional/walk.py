@@ -70,9 +70,9 @@ class BidirectionalWalk(Walker):
     ) -> tuple[Contribution, mi.UInt32]:
         """(contribution of the path along the untraced edge from a vertex to ``target``, shadow rays cast).
 
-        edges: length of the path. contributions: one a radius, without visibility; alone: without a weight. Roulette by
-        ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever ``alone``
-        is not zero.
+        edges: length of the path. contributions: one per radius, without visibility; alone: without a weight. Roulette
+        by ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever
+        ``alone`` is not zero.
         """
         survives, factor = shadow_roulette(contributions, threshold, u, active)
         tested = survives if self.pyramid is None else active & ~dr.all(alone == 0.0)

@@ -1,9 +1,9 @@
-r"""The ambient term of a scene: light that has been reflected often enough, by the normal of the surface that it meets.
+r"""The ambient term of a scene: light after several reflections, by the normal of the surface at which it arrives.
 
 Surfaces are represented by a few thousand vertices of random walks from the camera that scatter without being absorbed.
-Such walks visit surfaces by their area and directions by their cosine, as far as paths from the camera can come. They
-give the classes of :mod:`etendue.surfaces` what the classical term takes from patches: the mean radiosity by direct
-light, the mean albedo, and form factors, here the shares of walks that lead from one class to another.
+Such walks visit surfaces by their area and directions by their cosine, as far as paths from the camera can come. For
+the classes of :mod:`etendue.surfaces` they give the quantities that the classical term takes from patches: the mean
+radiosity by direct light, the mean albedo, and form factors, here the shares of walks from one class to another.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ from ..walk import CameraPath, Walker, ones
 
 Mask = NDArray[np.bool_]
 
-#: Walks, and edges of each. The end of the first edge is not used, as it lies where the camera looks, nor are those of
-#: the last ones, which only lead to what comes after the vertices before them, through mirrors and glass.
+#: Number of walks, edges per walk, and last edges that are not used: these only find the surfaces that earlier vertices
+#: see, also through mirrors and glass. The end of the first edge is not used either, because it lies where the camera
+#: looks.
 AMBIENT_WALKS, _EDGES, _LEADING = 2048, 10, 3
 
 
 @dataclass(frozen=True)
 class AmbientScene:
     """Means by classes of normals. ``direct``: (k, 3) radiosity by light that is reflected once. ``albedo``: (k, 3).
-    ``factors``: (k, k) the share of what leaves a class that meets another; the rest leaves the scene. ``samples``:
-    the number of vertices that they are means of. ``rays``: rays cast for them."""
+    ``factors``: (k, k) share of the walks leaving a class that reach another; the rest leaves the scene. ``samples``:
+    number of vertices in the means. ``rays``: rays cast for them."""
 
     term: AmbientTerm
     direct: Array
@@ -43,7 +44,7 @@ class AmbientScene:
     rays: int
 
     def irradiance(self, reflected: int = 1) -> Array:
-        """(k, 3) by light that has been reflected so often or more before it arrives."""
+        """Irradiance (k, 3) by light that was reflected at least ``reflected`` times before it arrives."""
         source = self.direct
         for _ in range(1, reflected):
             source = self.albedo * (self.factors @ source)
@@ -58,7 +59,7 @@ class AmbientTable:
         self._radiance = copied_to_device(mi.Float, (irradiance / np.pi).astype(np.float32))
 
     def at(self, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
-        """By the shading normal on the side from which a vertex was reached."""
+        """The radiance for the shading normal on the side from which a vertex was reached."""
         if self._term == "classic":
             return dr.gather(mi.Color3f, self._radiance, mi.UInt32(0), active)
         normal = facing(vertex)
@@ -82,14 +83,14 @@ def facing(vertex: WalkVertex) -> mi.Normal3f:
 
 @dataclass
 class _Found:
-    """What the ends of an edge are, on the host: a row for each walk."""
+    """The ends of one edge of all walks, on the host: a row for each walk."""
 
     normal: Array
-    smooth: Mask  #: whether the end is a vertex of the means; the others let light pass or mirror it
+    smooth: Mask  #: whether the end counts in the means; other ends transmit or mirror light
     albedo: Array
     direct: Array  #: reflected radiance of a light point
     hit: Array  #: radiance of a light that the edge has hit, reflected by the last vertex
-    carried: Array  #: what mirrors and glass between the last vertex and this one leave
+    carried: Array  #: throughput of the mirrors and glass between the last vertex and this one
     goes_on: Mask
 
 
@@ -100,7 +101,7 @@ def ambient_scene(walker: Walker, ray: mi.Ray3f, source: SampleSource, term: Amb
     edges = []
     for edge in range(1, _EDGES + 1):
         path.depth = dr.full(mi.UInt32, edge, dr.width(ray))
-        # All of it opaque, so that every edge is the same kernel.
+        # Opaque, so that all edges use the same kernel.
         dr.make_opaque(path, carried)
         carried, found = _edge(path, carried, walker, source)
         edges.append(found)
@@ -108,7 +109,7 @@ def ambient_scene(walker: Walker, ray: mi.Ray3f, source: SampleSource, term: Amb
 
 
 def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSource) -> tuple[mi.Color3f, _Found]:
-    """Trace an edge and scatter at its end. The throughput is that from the last vertex on."""
+    """Trace an edge and scatter at its end. The throughput counts from the last smooth vertex."""
     weights = DirectWeights()
     vertex = walker.arrive(s)
     hit = walker.emission(s, vertex)
@@ -132,7 +133,7 @@ def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSour
 
 
 def _means(term: AmbientTerm, edges: list[_Found], rays: int) -> AmbientScene:
-    """Of the vertices of all walks that are used."""
+    """Means over the vertices of all walks that are used."""
     shape = len(edges), len(edges[0].smooth)
     normals, albedo, direct = (np.stack([getattr(e, name) for e in edges]) for name in ("normal", "albedo", "direct"))
     classes = class_weights(term, normals.reshape(-1, 3).astype(np.float64)).reshape(*shape, -1)
@@ -140,7 +141,7 @@ def _means(term: AmbientTerm, edges: list[_Found], rays: int) -> AmbientScene:
     used[0], used[-_LEADING:] = False, False
     count = classes.shape[2]
     between, left = np.zeros((count, count)), np.zeros(count)
-    last = np.full(shape[1], -1)  # the vertex of each walk from which light is followed
+    last = np.full(shape[1], -1)  # the vertex of each walk whose incident light is followed; -1: none
     walks = np.arange(shape[1])
     for number, edge in enumerate(edges):
         follows = last >= 0

@@ -1,13 +1,13 @@
 r"""Camera paths that end in a map of irradiance.
 
-A path ends at the first diffuse surface after so many scatterings, with the light that a map has there,
+A path ends at the first diffuse surface after a given number of scatterings, with the light that a map has there,
 
-.. math:: alpha \, \rho(z) \, E(z) / \pi
+.. math:: \alpha \, \rho(z) \, E(z) / \pi
 
-with the throughput alpha and the albedo rho. Mirrors, glass and null surfaces do not count as scatterings: what they
-show is as far from the map as what the path sees directly. Diffuse are materials without a glossy component; at others,
-and where their mirror or glass is sampled, the path goes on. No light point is sampled at the end, since the map
-has the direct light, too [Leeson 2001, sec. 5.7.3].
+with the throughput alpha and the albedo rho. Mirrors, glass and null surfaces do not count as scatterings: a surface
+seen through them is as far from the map as one that the path sees directly. Diffuse materials have a diffuse and no
+glossy component; at other materials, and where the mirror or glass of a diffuse one is sampled, the path goes on. No
+light point is sampled at the end, since the map contains the direct light [Leeson 2001, sec. 5.7.3].
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class EndingWalker(Walker):
         """See :class:`Walker`."""
         assert isinstance(s, CameraPath) and s.end is not None
         si, flags = vertex.si, vertex.bsdf.flags()
-        # Directions may come from a guide: only the choice between mirror and diffuse reflection is of interest.
+        # Directions may come from a guide; only the choice between mirror and diffuse reflection matters here.
         has_choice = mi.has_flag(flags, mi.BSDFFlags.Delta)
         reflects = (mi.Frame3f.cos_theta(si.wi) > 0.0) | mi.has_flag(flags, mi.BSDFFlags.BackSide)
         chosen = scattered.active & ~scattered.is_delta & ~scattered.is_null

@@ -1,17 +1,18 @@
-r"""Which light vertices a camera vertex is connected to, learned by classes of surface points, as in [Su 2022].
+r"""Choice of the light vertices that a camera vertex is connected to, learned by classes of surface points [Su 2022].
 
-A class is a cell of a coarse grid over the scene, and the axis that the geometric normal is nearest to. For a camera
+A class is a cell of a coarse grid over the scene, and the signed axis nearest to the geometric normal. For a camera
 vertex of class i, a class j of light vertices has the probability
 
 .. math:: P(j | i) \propto q_j \sqrt{E[c^2 | i, j]}
 
-with the share q_j of the light vertices and the contributions c, with their MIS weights, of connections to vertices of
-the class, had all vertices the same probability: the choice of least variance. A vertex of the class is then drawn
-uniformly. One draw in five is uniform over all vertices, so that a wrong estimate costs a bounded factor.
+where q_j is the share of class j in the light vertices, and c are the MIS-weighted contributions that connections to
+vertices of class j have if all vertices have the same probability. This choice has the least variance. A vertex of the
+class is then drawn uniformly. One draw in five is uniform over all vertices, so that a wrong estimate costs a bounded
+factor.
 
-The weights of all techniques need the ratio of a vertex's probability to a uniform one. It depends on how many light
-vertices of a class a pass happens to have; weights take the share expected from earlier passes instead, the same in all
-techniques. Contributions count relative to the brightness of the picture around their pixel, as a relative error does.
+The weights of all techniques need the ratio of a vertex's probability to a uniform one. The ratio depends on the number
+of light vertices that a pass has in the class; the weights of all techniques use the share expected from earlier passes
+instead. Contributions count relative to the brightness of the picture around their pixel, as in a relative error.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ CLASSES = 6 * _CELLS**3
 START = 0xFFFFFFFF
 #: Share of the draws that are uniform over all light vertices.
 _UNIFORM = 0.2
-#: Draws are quantised: each of so many numbers stands for a class.
+#: Number of values to which draws are quantised; each value stands for a class.
 _SLOTS = 256
-#: Draws of mean contribution by which the estimate of a pair of classes is mixed with the mean of the camera's class,
-#: and that by which the latter is mixed with the mean of all.
+#: Weight, in draws, of the camera class's mean in the estimate of a pair of classes, and of the overall mean in the
+#: estimate of the camera class.
 _PRIOR = 1.0
 
 
@@ -48,7 +49,7 @@ _PRIOR = 1.0
 class ConnectionSums:
     """Sums over the connections, and over the light vertices, of some passes; integers, as float64."""
 
-    count: Array  #: (classes²,) connections, for each pair of a camera's and a light vertex's class
+    count: Array  #: (classes²,) connections for each pair of camera class and light class
     square: Array  #: (classes²,) squares of their contributions
     vertices: Array  #: (classes,) light vertices
 
@@ -105,14 +106,14 @@ class ConnectionGuide:
 
     def pair(self, camera: mi.UInt32, light: mi.UInt32, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Float]:
         """(probability that a draw is from the light vertex's class alone; probability of the vertex over a uniform
-        one, as expected) for the ends of an edge; the latter is 1 if one end is the sensor or a light."""
+        one, as expected) for the ends of an edge; the ratio is 1 if one end is the sensor or a light."""
         known = (camera != START) & (light != START) & active
         share, ratio = dr.gather(mi.Vector2f, self._pairs, camera * CLASSES + light, known)
         return share, dr.select(known, ratio, 1.0)
 
     def ratio(self, share: mi.Float, held: mi.UInt32, count: mi.UInt32) -> mi.Float:
-        """Probability of a light vertex over a uniform one, in a pass that has ``held`` of the ``count`` vertices in
-        the vertex's class."""
+        """Probability of a light vertex over a uniform one, in a pass with ``held`` of its ``count`` vertices in the
+        class of the vertex."""
         return self._uniform + share * (mi.Float(count) / mi.Float(dr.maximum(held, 1)))
 
     def learn(self, sums: ConnectionSums) -> None:
@@ -129,7 +130,7 @@ class ConnectionGuide:
         self._upload()
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What was learned, as arrays that are not modified later."""
+        """The learned state, as arrays that are not modified later."""
         return {"slots": self._slots, "expected": self._expected}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -171,8 +172,8 @@ class ConnectionTraining(Worth):
         drawn: mi.Bool,
         active: mi.Bool,
     ) -> None:
-        """Add connections that were ``drawn``, of which those ``active`` contribute. ``value``: had all light vertices
-        had the same probability."""
+        """Add connections that were ``drawn``; the ``active`` ones contribute. ``value``: the contribution if all light
+        vertices had the same probability."""
         pair = camera * CLASSES + light
         dr.scatter_add(self.count, mi.UInt32(1), pair, drawn & (worth > 0.0))
         units = in_units(dr.square(capped(mi.luminance(value) * worth)), SQUARES)

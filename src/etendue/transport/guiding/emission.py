@@ -1,17 +1,17 @@
-r"""Emission that learns: which light, and into which direction, by what light paths have contributed to the picture.
+r"""Learned emission: lights and directions are selected by the contributions of earlier light paths to the picture.
 
-Let c be the sum of the contributions of a light path, with their MIS weights, by splats, connections and merges. The
-variance of the picture's sum is least if a light l and a cell k of its directions have the probabilities
+Let c be the sum of the MIS-weighted contributions of a light path by splats, connections and merges. The variance of
+the picture's sum is least if a light l and a cell k of its directions have the probabilities
 
 .. math:: P_l \propto \sqrt{E[P_l^2 c^2 | l]},  \qquad p_k \propto \sqrt{\frac{1}{|k|} \int_k F^2 d\omega},
           \qquad E[c^2 p] = \int F^2 d\omega
 
-where F = c p is what the direction would contribute if it were certain. Both expectations are sums over the light paths
-of earlier passes, whatever densities these had. P is mixed with the selection by power, and p with the directions of
-the light's kind, so that nothing has the probability zero, and an estimate that is wrong costs a bounded factor. The
-selection of lights by next event is learned alike, from the contributions of light points.
+where F = c p is the contribution of the direction if it had the probability one. Both expectations are estimated by
+sums over the light paths of earlier passes, for any densities of these paths. P is mixed with the selection by power,
+and p with the directions of the light's kind, so that no probability is zero and a wrong estimate costs a bounded
+factor. The selection of lights by next event is learned in the same way, from the contributions of light points.
 
-Contributions count relative to the brightness of the picture around their pixel, as a relative error does.
+Contributions count relative to the brightness of the picture around their pixel, as in a relative error.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from .worth import SQUARES, UNITS, Worth, capped, in_units
 
 #: Share of the selection by power.
 _BY_POWER = 0.1
-#: Paths, of mean contribution, by which the estimate of a light is mixed with the mean of all lights.
+#: Weight, in paths, of the mean of all lights in the estimate of a light.
 _PRIOR = 1.0
-#: Shares of learned directions that are weighed against each other; the least gain that is worth any; and the least
-#: effective number of contributing paths by which a gain is known.
+#: Shares of learned directions that are compared. A share above 0 is used if it reduces the second moment below _GAIN
+#: times that of share 0, and if the effective number of contributing paths is at least _KNOWN.
 SHARES = (0.0, 0.25, 0.5, 0.75)
 _GAIN, _KNOWN = 0.9, 64.0
 #: Share of a light's density above which a leaf is divided, and least number of effective paths in a leaf.
@@ -53,7 +53,7 @@ class EmissionSums:
     credit: Array  #: (places,) contributions
     square: Array  #: (places,) squares of contributions
     weighted: Array  #: (places,) squares of contributions times density of the direction
-    moments: Array  #: (lights * shares,) squares of contributions, had the directions had each of the shares
+    moments: Array  #: (lights * shares,) squares of contributions if the directions had each of the shares
     direct: Array  #: (lights,) squares of contributions of light points
 
     @classmethod
@@ -81,10 +81,10 @@ class EmissionGuide:
         self.count = plain.count
         #: (lights,) learned probabilities of next event and of emission, on the host.
         self.direct = self.emitted = plain.probabilities
-        #: Learned densities of directions, one tree a light.
+        #: Learned densities of directions, one tree per light.
         self.trees = Quadtrees.even(self.count)
         self._share = np.zeros(self.count)
-        #: How many times as many light paths as without learning arrive where they contribute.
+        #: Factor by which learning increases the number of light paths that arrive where they contribute.
         self.crowding = 1.0
         self._upload()
 
@@ -122,21 +122,21 @@ class EmissionGuide:
         self._upload()
 
     def _learn_directions(self, sums: EmissionSums, tree: NDArray[np.int64], credit: Array, square: Array) -> None:
-        """``tree``: of each place; ``credit`` and ``square``: sums of each light."""
+        """Learn densities and shares. ``tree``: of each place; ``credit`` and ``square``: sums of each light."""
         usable = self._plain.has_directions & (square > 0.0)
         paths = np.where(usable, (credit / UNITS) ** 2 / np.where(usable, square / SQUARES, 1.0), 0.0)
         area = 0.25 ** (np.repeat(self.trees.level, 4) + 1.0)
         self.trees = self.trees.with_mass(np.where(usable[tree], np.sqrt(sums.weighted * area), 0.0))
         leaf = np.maximum(_LEAF_SHARE, _LEAF_PATHS / np.maximum(paths, 1.0))
         self.trees = self.trees.refined(np.arange(self.count), np.where(paths > 0.0, leaf, 1.0))
-        # The moments tell of the densities that were sampled, and the new ones are better.
+        # The moments are those of the densities that were sampled; the new densities are better.
         moments = sums.moments.reshape(self.count, -1)
         best = moments.argmin(axis=1)
         gains = usable & (paths >= _KNOWN) & (moments.min(axis=1) < _GAIN * moments[:, 0])
         self._share = np.where(gains, np.array(SHARES)[best], 0.0)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What was learned, as arrays that are not modified later."""
+        """The learned state, as arrays that are not modified later."""
         return {
             "direct": self.direct,
             "emitted": self.emitted,
@@ -167,7 +167,7 @@ class EmissionTraining(Worth):
 
     Parameters
     ----------
-    guide: which emits the paths.
+    guide: the guide that emits the paths.
     unit, levels, width: see :class:`Worth`.
     directions: whether directions are learned, too.
     """
@@ -182,7 +182,7 @@ class EmissionTraining(Worth):
         self.direct = dr.zeros(mi.UInt64, guide.count)
 
     def begin(self, emitted: EmittedRay) -> None:
-        """Note how the light paths were emitted."""
+        """Keep the light and the densities of each emitted path."""
         self._light = mi.UInt32(emitted.light)
         self._pdf = mi.Float(emitted.direction_pdf)
         self._ratios: list[mi.Float] = []
@@ -192,11 +192,11 @@ class EmissionTraining(Worth):
         active = emitted.active
         departure = self._guide.departures.at(emitted.light, active)
         learned, self._place = departure.learned(emitted.ray.d, emitted.own_pdf, active)
-        # Density of the direction over those with other shares.
+        # Density of the direction over its density with each of the shares.
         self._ratios = [self._pdf / dr.maximum(a * learned + (1.0 - a) * emitted.own_pdf, 1e-20) for a in SHARES]
 
     def splatted(self, found: mi.Float) -> None:
-        """Note the contributions of the light paths by splats, one lane a path."""
+        """Set the contributions of the light paths by splats, one lane per path."""
         self.found = in_units(found, UNITS)
         dr.schedule(self._light, self._pdf, self._place, self._ratios, self.found)
 

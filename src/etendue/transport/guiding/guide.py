@@ -34,7 +34,7 @@ from .lights import MOST_LIGHTS, LightChoice, LocalLights
 _PER_STERADIAN = 0.25 / np.pi
 #: The largest number below one.
 _BELOW_ONE = 1.0 - 2.0**-24
-#: Number that stands for no place.
+#: The ``place`` of a direction that is in no leaf.
 NOWHERE = 0xFFFFFFFF
 
 
@@ -67,12 +67,12 @@ class GuidedScattered(Scattered):
 
 
 class Guide:
-    """Learned incident light by position, surface normal and direction.
+    """Learned densities of directions by position and surface normal.
 
     Parameters
     ----------
     lower, upper: corners of a box that contains the scene.
-    lights: the lights whose selection is learned, too; not if there is one light only, or more than
+    lights: the lights whose selection is learned, too; selection is not learned for one light, or for more than
         :data:`MOST_LIGHTS`.
     """
 
@@ -127,7 +127,7 @@ class Guide:
     # ------------------------------------------------------------------ on the device
 
     def locate(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.UInt32:
-        """The cells of surface points; the normal counts on the side of ``si.wi``."""
+        """The cells of surface points; the normal is taken on the side of ``si.wi``."""
         facing = si.sh_frame.n * dr.sign(mi.Frame3f.cos_theta(si.wi))
         return self._cells.find(si.p, facing, active)
 
@@ -199,17 +199,17 @@ class Guide:
         share: float,
         brought: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
-        """Learn from training samples, and refine cells and quadtrees. Returns for each new cell the old cell that it
-        is a part of, (cells,).
+        """Learn from training samples, and refine cells and quadtrees. Returns (cells,): for each new cell, the old
+        cell that contains it.
 
         Parameters
         ----------
-        found: (places,) sums of incident light.
+        found: (places,) sums of reflected light, by the direction that it comes from.
         samples: (places,) numbers of training samples.
         most: samples from which on a cell is divided.
         leaf_share: share of a cell's light from which on a leaf of its quadtree is divided.
         share: probability a of the guide, in cells in which light was found.
-        brought: (cells, lights) contributions of light points, where light selection is learned.
+        brought: (cells, lights) contributions of light points, if light selection is learned.
         """
         tree = self._trees.tree_of_place()
         light, count = np.bincount(tree, found, self.cells), np.bincount(tree, samples, self.cells)

@@ -1,7 +1,7 @@
 """Emission and connections that a method learns pass by pass: generations of training, and their state.
 
 Training has generations of 1, 2, 4, ... passes. A pass samples by what earlier generations have learned, so that each
-is unbiased given those before it.
+pass is unbiased given the passes before it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from .connections import CLASSES, ConnectionGuide, ConnectionSums, ConnectionTra
 from .emission import EmissionGuide, EmissionSums, EmissionTraining
 from .worth import BLOCK
 
-#: Lights of a scene from which on their selection is learned, and next event, which picks one, is not enough for direct
-#: light: ``auto`` of the settings ``guide_emission`` and ``direct_light``.
+#: Number of lights from which on ``auto`` of ``guide_emission`` learns their selection, and ``auto`` of
+#: ``direct_light`` uses all techniques, because next event picks only one of the lights.
 MANY = 8
 #: Description and values of the setting ``guide_emission``.
 GUIDE = (
@@ -48,13 +48,13 @@ class Learned(ABC):
         self._generation = self._passes = 0
         self._width, height = size
         self._blocks = np.zeros((-(-height // BLOCK), -(-self._width // BLOCK)))  # sums of luminance of all passes
-        self._seen = 0.0  # samples in them
+        self._seen = 0.0  # camera paths per pixel in these sums
         self._levels = np.ones(self._blocks.size)
         self.drop()
 
     def measure(self, brightness: float) -> None:
-        """Set the mean contribution to a pixel, if it is unknown; in steps, so that the order of additions does not
-        matter."""
+        """Set the mean contribution to a pixel, if it is unknown; rounded to steps, so that rounding errors, which
+        depend on the order of additions, do not matter."""
         if self.unit <= 0.0 < brightness:
             self.unit = 2.0 ** (round(4.0 * math.log2(brightness)) / 4.0)
 
@@ -70,18 +70,18 @@ class Learned(ABC):
 
     @abstractmethod
     def drop(self) -> None:
-        """Forget what the current pass has added."""
+        """Discard the sums of the current pass."""
 
     @abstractmethod
     def _keep(self) -> None:
-        """Add what the current pass has added to that of the generation."""
+        """Add the sums of the current pass to those of the generation."""
 
     @abstractmethod
     def _learn(self) -> None:
         """Learn at the end of a generation."""
 
     def end_pass(self, image: NDArray[np.float32], samples: int) -> None:
-        """Learn at the end of a generation. ``image``: sums of the pass."""
+        """Keep the sums of a pass, and learn if it ends a generation. ``image``: sums of the pass."""
         if not self.trains:
             return
         if self.unit <= 0.0:
@@ -101,7 +101,7 @@ class Learned(ABC):
     def _set_levels(self) -> None:
         levels = self._blocks.ravel() / max(self._seen, 1.0)
         if self.unit > 0.0 and levels.sum() > 0.0:
-            # In steps, so that the order in which splats were added does not matter.
+            # Rounded to steps, so that the order in which splats were added does not matter.
             relative = np.maximum(levels / self.unit, 2.0**-8)
             self._levels = 2.0 ** (np.round(4.0 * np.log2(relative)) / 4.0)
 
@@ -144,8 +144,8 @@ class LearnedEmission(Learned):
         super().__init__(size)
 
     def fields(self, recording: bool, first: int) -> dict[str, Any]:
-        """The fields of the walkers of a group of light paths, from number ``first`` on. What is not used is left out,
-        because it takes time."""
+        """The fields of the walkers of a group of light paths, from number ``first`` on. Unused fields are None, since
+        they would take time."""
         if first == 0:
             self.drop()  # what a pass has added that is repeated
         training = None
@@ -169,7 +169,7 @@ class LearnedEmission(Learned):
     def _learn(self) -> None:
         self.guide.learn(self._sums)
         if self._generation >= _UNTIL and self.guide.count == 1 and not self.guide.departs:
-            self._generation = GENERATIONS  # one light, whose directions are as good as any: training takes time
+            self._generation = GENERATIONS  # one light, and its directions gain nothing: more training only takes time
         self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
 
     def state(self) -> dict[str, Any]:
@@ -187,7 +187,7 @@ class LearnedEmission(Learned):
 
 
 class LearnedConnections(Learned):
-    """A guide of connections and its training, which goes on from generation to generation.
+    """A guide of connections and its training, whose sums include all generations.
 
     Parameters
     ----------
@@ -201,8 +201,8 @@ class LearnedConnections(Learned):
         super().__init__(size)
 
     def training(self, recording: bool, first: int) -> ConnectionTraining:
-        """Training by a group of light paths, from number ``first`` on, and their camera paths. Where nothing is
-        learned, it adds nothing, in the same kernel: to compile another one takes longer than it would save."""
+        """Training by a group of light paths, from number ``first`` on, and their camera paths. If nothing is learned,
+        the same kernel adds nothing: compiling another kernel would take longer than it saves."""
         if first == 0:
             self.drop()  # what a pass has added that is repeated
         return ConnectionTraining(self.unit if recording and self.trains else 0.0, self._levels, self._width)
@@ -248,7 +248,7 @@ def _block_means(image: NDArray[np.float32]) -> Array:
 
 
 def learned_emission(setting: str, lights: LightTable, size: tuple[int, int]) -> LearnedEmission | None:
-    """That of a method with a value of the setting ``guide_emission``; None if nothing is learned."""
+    """Learned emission for a value of the setting ``guide_emission``; None if nothing is learned."""
     if setting == "off" or (setting == "auto" and lights.count < MANY):
         return None
     return LearnedEmission(lights, size, setting == "on")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from etendue.core import copied_to_device
 from etendue.scene import Light, LightTable
 
-#: Most lights of a scene for which selection is learned; each costs one table lookup a sample.
+#: Most lights of a scene for which selection is learned; each light costs one table lookup per sample.
 MOST_LIGHTS = 16
 #: Probability with which a light is selected by power.
 _BY_POWER = 0.2
@@ -25,7 +25,7 @@ _BY_POWER = 0.2
 
 @dataclass
 class LocalLights:
-    """A light table with the selection probabilities of a cell, one cell a lane."""
+    """A light table with the selection probabilities of a cell, one cell per lane."""
 
     table: LightTable
     probability: mi.Float  #: (cells * lights) on the device
@@ -58,7 +58,7 @@ class LocalLights:
 
 
 class LightChoice:
-    """Selection probabilities of the lights for each of ``cells`` cells; by power before the first training."""
+    """Selection probabilities of the lights in each of ``cells`` cells; by power before the first training."""
 
     def __init__(self, lights: LightTable, cells: int) -> None:
         self._lights = lights
@@ -81,6 +81,6 @@ class LightChoice:
         self.restore(shares[origin])
 
     def restore(self, shares: NDArray[np.float64]) -> None:
-        """Set the learned probabilities, (cells, lights), with which power is mixed."""
+        """Set the learned probabilities, (cells, lights), before selection by power is mixed in."""
         self.shares = np.array(shares, np.float64)
         self._upload()

@@ -1,8 +1,8 @@
 """The guided walk: camera paths with directions, light choice and roulette from a :class:`Guide`, and training samples.
 
 The estimator is that of path tracing, for any guide. Roulette compares the light that the guide expects beyond a vertex
-with that beyond the first vertex [Vorba 2016]. Throughput would end the best paths, since it is small where the guide
-expects much light.
+with that beyond the first vertex [Vorba 2016]. Roulette by throughput would end the best paths, since throughput is
+small where the guide expects much light.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ class GuidedPath(CameraPath):
 
     found: mi.Float  #: luminance of the contributions so far
     expected: mi.Float  #: expected luminance of the contributions after the last vertex; 0: unknown
-    expected_at_first: mi.Float  #: the same at the first vertex where it was known
+    expected_at_first: mi.Float  #: ``expected`` at the first vertex where it was known
     cell: mi.UInt32  #: the guide's cell at the start of the next edge
 
 
 class TrainingSamples:
-    """Training samples of a pass: incident light at vertices by direction, and contributions of light points by cell.
+    """Training samples of a pass: light that vertices reflect, by incident direction, and light points' contributions.
 
     Parameters
     ----------
     lanes: numbers of the paths.
     stride: one path in ``stride`` is recorded.
-    unit: mean luminance of a path, or 0 if unknown; light points are not counted then.
+    unit: mean luminance of a path, or 0 if unknown; light points are then not counted.
     recording: whether the guide is trained in this pass.
     """
 
@@ -170,5 +170,5 @@ class GuidedWalk(Walker):
     def add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
         """Add a contribution; see :meth:`CameraPath.add`."""
         s.add(contribution, active, component)
-        # The light of a map may be negative, by a correction at edges; a guide learns from the rest.
+        # The light of a map may be negative, by a correction at edges; a guide learns from positive values only.
         s.found = s.found + dr.select(active, dr.maximum(mi.luminance(contribution), 0.0), 0.0)

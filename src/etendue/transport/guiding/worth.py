@@ -1,4 +1,4 @@
-"""What a contribution to a pixel is worth to what is learned: relative to the brightness of the picture around it."""
+"""Weights of contributions in training: relative to the brightness of the picture around their pixel."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from etendue.core import Array, copied_to_device
 
 #: Sums are of integers, so that they do not depend on the order of the additions: units of a contribution, and of its
-#: square, per mean contribution; and the largest contribution of a path, in mean ones.
+#: square, per mean contribution; and the largest contribution of a path, in mean contributions.
 UNITS, SQUARES, _MOST = 1 << 16, 1 << 10, 1 << 10
-#: Camera paths are counted in blocks of lanes, one of so many.
+#: Size of a block of lanes, and the stride of the blocks whose camera paths are counted.
 _BLOCK, _STRIDE = 16, 4
 #: Side of the blocks of pixels whose brightness is known.
 BLOCK = 16
@@ -36,8 +36,8 @@ class Worth:
         self._unit = dr.opaque(mi.Float, 1.0 / unit if unit > 0.0 else 0.0)
 
     def worth_of_lane(self, pixel: mi.UInt32, lane: mi.UInt32) -> mi.Float:
-        """Factor on the luminance of contributions of camera paths to their pixels. Only blocks of lanes count, since
-        additions take time; other ones in each row of pixels, so that they are spread over the picture."""
+        """Factor on the luminance of contributions of camera paths to their pixels. Only some blocks of lanes count,
+        since additions take time; they differ between rows of pixels, so that they are spread over the picture."""
         counts = (lane // _BLOCK + pixel // self._width) % _STRIDE == 0
         return dr.select(counts, _STRIDE * self.worth(pixel, counts), 0.0)
 
@@ -49,7 +49,7 @@ class Worth:
 
 
 def capped(value: mi.Float) -> mi.Float:
-    """A contribution in mean ones, at most the largest that counts."""
+    """A contribution, in mean contributions, limited to the largest that counts."""
     return dr.minimum(dr.select(value > 0.0, value, 0.0), float(_MOST))
 
 

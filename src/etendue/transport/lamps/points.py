@@ -18,7 +18,7 @@ from ..guiding.lights import LocalLights
 def point_on(
     lights: LightTable, light: Light, u: mi.Point2f, mask: mi.Bool
 ) -> tuple[mi.SurfaceInteraction3f, mi.Float]:
-    """A point on an area light, sampled as for emission: (interaction, area density with light selection)."""
+    """A point on an area light, sampled as for emission: (interaction, area density times ``light.pick``)."""
     place, triangle, density = place_on(lights, light, light.pick, u, mask)
 
     def point(
@@ -37,8 +37,8 @@ def point_on(
 def place_on(
     lights: LightTable | LocalLights, light: Light, chance: mi.Float, u: mi.Point2f, mask: mi.Bool
 ) -> tuple[mi.Point2f, mi.UInt32, mi.Float]:
-    """The point of an area light that ``u`` selects: (place, triangle, area density times ``chance``, the probability
-    of the light)."""
+    """The point of an area light that ``u`` selects: (place, triangle, area density times the light's probability
+    ``chance``)."""
     density = chance * light.area_density
     if lights.points is None:
         return u, mi.UInt32(0), density
@@ -57,15 +57,15 @@ def light_point(emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mas
 
 
 def of_next_event(light: Light, density: mi.Float) -> mi.Float:
-    """A density that contains the light's selection by emission, with that by next event instead."""
+    """A density with light selection by emission, converted to light selection by next event."""
     return density if light.emitted is light.pick else density * (light.pick / light.emitted)
 
 
 def departing(
     departures: Departures | None, light: Light, own: mi.Float, direction: mi.Vector3f, mask: mi.Bool
 ) -> mi.Float:
-    """Solid-angle density with which emission samples a world ``direction`` at a point of a light, of whose kind it is
-    ``own``."""
+    """Solid-angle density with which emission samples a world ``direction`` at a point of a light; ``own``: the density
+    of the light's kind."""
     return own if departures is None else departures.at(light.row, mask).mixed(direction, own, mask)
 
 

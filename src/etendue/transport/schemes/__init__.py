@@ -1,1 +1,1 @@
-"""Ways to sample the rays that lights emit, each in place of ``emit``, and even strata over light paths."""
+"""Ways to sample the rays that lights emit, as replacements of ``emit``, and stratification of light paths."""

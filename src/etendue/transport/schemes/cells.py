@@ -1,8 +1,8 @@
-r"""Emission by importance: more rays where their light reaches what the camera sees.
+r"""Emission by importance: more rays where their light reaches surfaces that the camera sees.
 
-The numbers of a ray are divided into cells: for each light, a grid over those of the point and one over those of the
-direction. A pilot traces paths by plain emission and measures for each the flux S that arrives at points which the
-camera sees, directly or after scattering. Cells are then chosen with probability
+The random numbers of a ray are divided into cells: for each light, a grid over the numbers of the point and one over
+those of the direction. A pilot traces paths by plain emission and measures for each path the flux S that arrives at
+points that the camera sees, directly or after scattering. Cells are then chosen with probability
 
 .. math:: P(c) = (1 - \delta) \frac{P_0(c) \sqrt{E[S^2 | c]}}{\sum_k P_0(k) \sqrt{E[S^2 | k]}} + \delta P_0(c),
 
@@ -31,22 +31,22 @@ from ..vertex import WalkVertex
 from ..walk import SubPath, Walker
 from .numbers import emit_from
 
-#: Rays per cell of the pilot, on average, by which the resolution of cells is chosen; and its largest value.
+#: Average number of pilot rays per cell, which determines the resolution; and the largest resolution.
 _RAYS_PER_CELL, _FINEST = 16, 16
-#: Weight of the mean of a light in the estimate of a cell, in rays.
+#: Weight of a light's mean in the estimate of a cell, in rays.
 _PRIOR = 4.0
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Cells a side of the point's grid and of the direction's."""
+    """Cells per side of the point's grid and of the direction's grid."""
 
     point: int
     direction: int
 
     @classmethod
     def fitting(cls, rays: int, lights: int) -> Resolution:
-        """Twice as many a side for directions as for points, for a pilot of so many rays."""
+        """The resolution for a pilot of ``rays`` rays: twice as many cells per side for directions as for points."""
         side = max(1, int((rays / (_RAYS_PER_CELL * lights) / 4.0) ** 0.25))
         return cls(min(side, _FINEST // 2), min(2 * side, _FINEST))
 
@@ -111,7 +111,7 @@ class _State(SubPath):
 
 @dataclass(kw_only=True)
 class ImportancePilot(Walker):
-    """Measures what of the light of rays arrives at what a camera sees."""
+    """Measures how much of the flux of light paths arrives at points that a camera sees."""
 
     camera: CameraSampler
 

@@ -1,8 +1,8 @@
 """Emission from other densities of its five random numbers: light, point and direction.
 
 :func:`~etendue.transport.emit` maps uniform numbers u of the unit cube to rays; the throughput is a flux. A scheme
-draws u from a density q(u) > 0 instead, and divides the throughput by q. Whatever traces light paths can use one; the
-densities of an :class:`EmittedRay`, by which MIS weights are computed, remain those of ``emit``.
+draws u from a density q(u) > 0 instead, and divides the throughput by q. Any tracer of light paths can use a scheme;
+the densities of an :class:`EmittedRay`, from which MIS weights are computed, remain those of ``emit``.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def emit_from(
     }
     emitted = emit(lights, GivenNumbers(numbers), active)
     emitted.throughput /= density
-    emitted.active &= dr.any(emitted.throughput > 0.0)  # of a black light there is nothing to trace
+    emitted.active &= dr.any(emitted.throughput > 0.0)  # a black light emits nothing to trace
     return emitted
 
 
@@ -78,7 +78,7 @@ class UniformLights:
 
     @staticmethod
     def pick(lights: LightTable, source: SampleSource, active: mi.Bool) -> tuple[Light, mi.Float]:
-        """(light, the number that picks it). A light that is known to be black gives way to one that is not."""
+        """(light, the number that picks it). A light that is known to be black is replaced by another light."""
         u = source.next_1d(0, dim.LIGHT_PICK)
         row = dr.minimum(mi.UInt32(u * lights.count), lights.count - 1)
         return lights.row(row, active), lights.number_of(row, active)
@@ -86,8 +86,8 @@ class UniformLights:
 
 @dataclass(frozen=True)
 class BlindEmission:
-    """All lights equally often, and directions of surfaces that emit uniform over the hemisphere, so that rays spread
-    evenly and differ in their flux [Leeson 2001, sec. 5.6.4]. Points are uniform already, unless the radiance varies;
+    """All lights equally often, with directions from area lights uniform over the hemisphere, so that rays spread
+    evenly and differ in flux [Leeson 2001, sec. 5.6.4]. Points are uniform already, unless the radiance varies;
     directions of other lights are those of ``emit``."""
 
     def __call__(self, lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:

@@ -1,4 +1,4 @@
-"""Even strata over the random numbers of light paths, without exploration [Leeson 2001, sec. 5.6.4]."""
+"""Stratification of the random numbers of light paths, without exploration [Leeson 2001, sec. 5.6.4]."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def strata(paths: int, dimensions: int) -> list[int]:
 
 
 class StratifiedSource:
-    """A :class:`SampleSource` whose numbers of some dimensions are one in each stratum: path v is in segment
+    """A :class:`SampleSource` that is stratified in some dimensions: path v is in segment
     ``floor(v / prod_{j<i} n_j) mod n_i`` of dimension i, at a random place.
 
-    The last paths, fewer than there are strata, have numbers without strata, so that each number remains uniform.
+    The last paths, fewer than the strata, are not stratified, so that each number remains uniform.
 
     base: numbers within the segments, and of other dimensions. index: numbers of the paths, below ``paths``.
     """

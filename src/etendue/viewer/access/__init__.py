@@ -1,1 +1,1 @@
-"""Who is answered, and under which address."""
+"""Access to the viewer: which requests the server answers, and its address."""

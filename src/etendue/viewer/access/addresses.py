@@ -1,4 +1,4 @@
-"""Under which address the reader's browser reaches a viewer that is behind a tunnel, a hub or a proxy."""
+"""The address at which the reader's browser reaches a viewer behind a tunnel, a hub or a proxy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 from etendue.core import OptionError
 
-#: The address that is taken where none is given.
+#: Environment variable with the address for the case that none is given.
 VARIABLE = "ETENDUE_VIEW_ADDRESS"
 
 
@@ -28,7 +28,7 @@ def given_address(address: str | None) -> str:
 
 
 def origins_of(address: str, port: int) -> list[str]:
-    """The origin of an address that names one, whose pages are then answered. ``port``: of the server."""
+    """The origin of an address, whose pages the server then answers; none for a path. ``port``: of the server."""
     if not address or address.startswith("/"):
         return []
     place = urlsplit(address.replace("{port}", str(port)))

@@ -1,4 +1,4 @@
-"""Whom the server answers: requests to a name of this machine, from its own pages or from origins that were allowed."""
+"""Requests that the server answers: to a name of this machine, from its own pages or from allowed origins."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _PORTS = {"http": 80, "https": 443}
 
 
 class Trusted:
-    """What the headers Host and Origin may be, for a server that listens at ``host``.
+    """The headers Host and Origin that a server at ``host`` accepts.
 
     A page of another site cannot read the token, but it can let its own name point to this machine (DNS rebinding);
-    then Host and Origin agree and are both of that name. So the name is checked, not only that they agree.
+    then Host and Origin agree, because both have that name. Therefore the name is checked, too.
 
-    ``origins`` are those of hubs and proxies, such as ``https://hub.example.org``. Raises :class:`OptionError` for one
-    that is not of this form.
+    ``origins`` are origins of hubs and proxies, such as ``https://hub.example.org``. Raises :class:`OptionError` for
+    another form.
     """
 
     def __init__(self, host: str, origins: Iterable[str] = ()) -> None:
@@ -28,12 +28,12 @@ class Trusted:
         self._origins = [origin_of(origin) for origin in origins]
 
     def allow(self, origins: Iterable[str]) -> None:
-        """Answer pages of further origins. Raises :class:`OptionError` for one that is none."""
+        """Answer pages of further origins. Raises :class:`OptionError` for a text that is not an origin."""
         self._origins += [origin_of(origin) for origin in origins]
 
     def host(self, host: str) -> bool:
-        """Whether the server may be asked for as ``host``, the value of the header: by a name of this machine, by that
-        of an allowed origin, or by any if the server is bound to all addresses."""
+        """Whether the server accepts the header Host: a name of this machine, the name of an allowed origin, or any
+        name if the server is bound to all addresses."""
         if is_everywhere(self._host):
             return True
         place = _split(f"//{host}")
@@ -46,8 +46,8 @@ class Trusted:
         )
 
     def origin(self, origin: str, host: str) -> bool:
-        """Whether a page of ``origin`` may ask the server that it knows as ``host``: one that came from this server, or
-        of an allowed origin."""
+        """Whether the server, at the name ``host``, answers a page of ``origin``: a page of this server, or of an
+        allowed origin."""
         place = _split(origin)
         if place is None or place.scheme not in _PORTS or not place.hostname:
             return False
@@ -56,7 +56,7 @@ class Trusted:
         return place.netloc.lower() == host.lower() and self.host(host)
 
     def refusal(self, origin: str | None, host: str) -> str:
-        """Why a request with these headers is refused, with what to do; empty if it is answered."""
+        """Why a request with these headers is refused, with a remedy; empty if it is answered."""
         if self.host(host) and (origin is None or self.origin(origin, host)):
             return ""
         name = origin if self.host(host) else f"https://{host}"
@@ -70,7 +70,7 @@ class Trusted:
 
 
 def origin_of(text: str) -> tuple[str, str, int]:
-    """Scheme, name and port of an origin. Raises :class:`OptionError` if ``text`` is none."""
+    """Scheme, name and port of an origin. Raises :class:`OptionError` if ``text`` is not an origin."""
     place = _split(text) if isinstance(text, str) else None
     named = place is not None and place.scheme in _PORTS and place.hostname and place.path in ("", "/")
     if place is not None and named and not (place.query or place.fragment or "@" in place.netloc):
@@ -87,7 +87,7 @@ def is_everywhere(host: str) -> bool:
 
 
 def _split(text: str) -> SplitResult | None:
-    """The parts of an address, ``None`` if it has a port or a bracket that is none."""
+    """The parts of an address, ``None`` if its port or its brackets are invalid."""
     try:
         place = urlsplit(text.strip())
         place.port  # noqa: B018 - raises for what is no number

@@ -1,1 +1,1 @@
-"""What the 3-D view draws, as arrays in render space: meshes, paths, boxes of trees, points, radiosity."""
+"""Arrays that the 3-D view draws, in render space: meshes, paths, boxes of trees, points, radiosity."""

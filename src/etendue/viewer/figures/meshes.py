@@ -13,7 +13,7 @@ from etendue.core import UnsupportedError
 from etendue.scene import Problem, graph
 from etendue.surfaces import shape_triangles
 
-#: Most triangles that are drawn; of more, the largest.
+#: Most triangles that are drawn; if there are more, the largest are drawn.
 MOST_TRIANGLES = 500_000
 _LIGHT, _CLEAR = (255, 205, 80), (150, 175, 205)
 
@@ -57,7 +57,7 @@ def scene_mesh(problem: Problem) -> SceneMesh:
 
 
 def _colour(shape: mi.Shape) -> tuple[int, int, int]:
-    """That of a light, or of the material's diffuse reflectance in the middle of its texture."""
+    """Colour of a light, or of the material's diffuse reflectance in the middle of its texture."""
     if shape.is_emitter():
         return _LIGHT
     bsdf = shape.bsdf()

@@ -12,12 +12,12 @@ from etendue.film import LUMINANCE
 from etendue.particles import ParticleFile, Particles
 from etendue.scene import Problem
 
-#: Most points that are drawn; of more, every k-th, with k times its power.
+#: Most points that are drawn; if there are more, every k-th is drawn, with k times its power.
 MOST_POINTS = 300_000
 
 
 def points(problem: Problem, file: Path) -> dict[str, NDArray[Any]]:
-    """Position (n, 3), power (n, 3) in watts and edges from the light (n,) of the particles of a file.
+    """Position (n, 3), power (n, 3) in watts, its luminance (n,) and edges from the light (n,) of a file's particles.
 
     Raises the errors of :class:`etendue.particles.ParticleFile`, also for particles of another scene."""
     opened = ParticleFile(file)

@@ -13,8 +13,8 @@ from etendue.transport import Event, Tracks
 
 def lines(tracks: Tracks) -> dict[str, NDArray[Any]]:
     """Arrays for the page: every edge as two points (edges, 2, 3), with the luminance of its throughput, the event at
-    its end, its number in the path and the path; and the edges to light points that next event reached (lights, 2, 3),
-    with the luminance that they bring and the path."""
+    its end, its number in the path and the path; and the edges to light points that next event estimation reached
+    (lights, 2, 3), with the luminance that they bring and the path."""
     events, positions = tracks.events, tracks.positions
     there = events[:, 1:] != Event.NONE
     path, edge = np.nonzero(there)
@@ -35,7 +35,7 @@ def lines(tracks: Tracks) -> dict[str, NDArray[Any]]:
 
 def hits(tracks: Tracks) -> dict[str, NDArray[Any]]:
     """Photons: hits of light paths on surfaces with a component without delta functions. Position (n, 3), power (n, 3)
-    in watts, edges from the light (n,)."""
+    in watts, its luminance (n,), edges from the light (n,)."""
     _, edge = np.nonzero(tracks.smooth)
     power = tracks.throughput[tracks.smooth] / len(tracks)
     points = tracks.positions[tracks.smooth]

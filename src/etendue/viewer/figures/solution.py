@@ -1,4 +1,4 @@
-"""A solution of radiosity that is refined while it is shown, or one of a file."""
+"""A solution of radiosity that is refined while it is shown, or that is read from a file."""
 
 from __future__ import annotations
 
@@ -25,37 +25,37 @@ from etendue.radiosity import (
 )
 from etendue.scene import Problem
 
-#: Most patches that are solved for while one looks on.
+#: Most patches of a solution that is shown.
 MOST_PATCHES = 20_000
 #: The system is solved again when the number of passes has grown by this factor.
 _GROWTH = 1.5
 #: Sequences of lines, whose variance gives the error.
 _REPLICATES = 8
-#: Most segments of lines that are kept, of eight bytes each, or so many a patch if that is more: a system on two
-#: million is solved in about a second, in which the camera waits.
+#: Most segments of lines that are kept, of eight bytes each: in all, or per patch if that gives more. A system of two
+#: million segments is solved in about a second, during which the camera waits.
 MOST_SEGMENTS, _PER_PATCH = 2_000_000, 200
 
 
 class ShownSolution:
-    """What the page draws of a solution of radiosity: its patches and their values."""
+    """A solution of radiosity as the page draws it: patches and their values."""
 
     patches: Patches
     solution: Solution | None = None
     error: Array | None = None  #: of the irradiance; ``None`` if it is not known
     max_area: float | None = None
-    bundles = 0  #: of lines that were cast for it while one looked on
+    bundles = 0  #: bundles of lines that were cast while it is shown
     is_done = False  #: whether :meth:`step` has nothing to do
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
 
     def step(self, seconds: float = 0.15) -> bool:
-        """Work for so long; returns whether there is a new solution."""
+        """Work for ``seconds``; returns whether there is a new solution."""
         return False
 
     def mesh(self) -> dict[str, NDArray[Any]]:
-        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back that belongs
-        to none, the number of patches. Areas (patches,), and which patches emit light."""
+        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back without a
+        patch, the number of patches. Areas (patches,), and which patches emit light."""
         patches = self.patches
         second = np.flatnonzero(patches.faces[:, 2] != patches.faces[:, 3])
         corners = np.concatenate([patches.faces[:, :3], patches.faces[second][:, [0, 2, 3]]])
@@ -70,10 +70,10 @@ class ShownSolution:
         }
 
     def values(self) -> dict[str, NDArray[Any]]:
-        """Of each patch, in W/m^2: radiosity (n, 3), and luminances (n,) of it, its standard error, its residual."""
+        """For each patch, in W/m^2: radiosity (n, 3), and luminances (n,) of radiosity, standard error and residual."""
         assert self.solution is not None
         solution, patches = self.solution, self.patches
-        # The error of the light that a patch reflects; its own emission has none.
+        # The error of the light that a patch reflects; its own emission has no error.
         error = patches.reflectance * (0.0 if self.error is None else self.error)
         residual = solution.radiosity - patches.emission - patches.reflectance * solution.irradiance
         return {
@@ -84,19 +84,19 @@ class ShownSolution:
         }
 
     def names(self) -> tuple[list[str], NDArray[np.uint32]]:
-        """Names of the shapes, and that of each patch."""
+        """Names of the shapes, and the number of each patch's shape."""
         shapes = self.patches.shapes
         if shapes is None:
             return ["a surface"], np.zeros(len(self.patches), np.uint32)
         return list(self.patches.shape_names), shapes.astype(np.uint32)
 
     def close(self) -> None:
-        """End what it does."""
+        """End all work."""
 
 
 class SavedSolution(ShownSolution):
-    """A solution of a file of ``etendue radiosity``. Raises the errors of reading it, and :class:`OptionError` for more
-    than :data:`MOST_PATCHES`."""
+    """A solution from a file of ``etendue radiosity``. Raises the errors of reading the file, and :class:`OptionError`
+    for more than :data:`MOST_PATCHES`."""
 
     is_done = True
 
@@ -109,9 +109,9 @@ class SavedSolution(ShownSolution):
 
 
 class LiveSolution(ShownSolution):
-    """Lines cast in passes through the patches of a scene, and solutions on those so far.
+    """Lines cast in passes through the patches of a scene, and solutions from the lines so far.
 
-    max_area: of a patch, in scene units; ``None`` for one that makes about a thousand. Raises the errors of
+    max_area: of a patch, in scene units; ``None`` for an area that gives about a thousand patches. Raises the errors of
     :func:`etendue.radiosity.scene_patches`, and :class:`OptionError` for more than :data:`MOST_PATCHES`.
     """
 
@@ -132,17 +132,17 @@ class LiveSolution(ShownSolution):
         self._casting = prepared(casting, PatchProblem(self.patches, problem.source), seed)
         self._measurement: Measurement | None = None
         self._next = _REPLICATES  # passes at the next solution
-        self._solved = 0  # passes of the latest
+        self._solved = 0  # passes of the latest solution
         self.passes = 0
 
     @property
     def bundles(self) -> int:  # type: ignore[override]
-        """Bundles of lines so far."""
+        """Number of bundles of lines so far."""
         return 0 if self._measurement is None else self._casting.bundles(self._measurement)
 
     @property
     def is_done(self) -> bool:  # type: ignore[override]
-        """Whether there are as many lines as are kept, and the solution is that of all."""
+        """Whether the most segments that are kept are reached, and the solution uses all of them."""
         return self._is_full and self._solved == self.passes
 
     @property
@@ -151,7 +151,7 @@ class LiveSolution(ShownSolution):
         return measured is not None and measured.counters["rays"] >= max(MOST_SEGMENTS, _PER_PATCH * len(self.patches))
 
     def step(self, seconds: float = 0.15) -> bool:
-        """Cast lines for so long; returns whether there is a new solution."""
+        """Cast lines for ``seconds``; returns whether there is a new solution."""
         end = time.perf_counter() + seconds
         while time.perf_counter() < end and self.passes < self._next and not self._is_full:
             made = self._casting.step(self.passes, self._seed, {}).measurement

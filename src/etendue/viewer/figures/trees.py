@@ -14,7 +14,7 @@ from etendue.radiosity import find_objects, grouped, part_boxes, scene_patches, 
 from etendue.scene import Problem
 from etendue.transport import Guide
 
-#: What can be drawn, with the words of the page.
+#: Structures that can be drawn, with their names on the page.
 KINDS = {
     "kd-tree": "kd-tree of photons",
     "hash-grid": "hash grid of photons",
@@ -22,7 +22,7 @@ KINDS = {
     "boxes": "boxes of multipath",
     "guide": "cells of the guide",
 }
-#: Most boxes of a picture.
+#: Most boxes that are drawn.
 MOST_BOXES = 60_000
 
 Boxes = dict[str, NDArray[Any]]
@@ -35,7 +35,7 @@ def kd_tree(points: NDArray[np.float32]) -> Boxes:
 
 
 def hash_grid(points: NDArray[np.float32], radius: float) -> Boxes:
-    """The cells of a hash grid that hold some of the points (n, 3), for searches of a radius; ``value``: how many."""
+    """The occupied cells of a hash grid over points (n, 3), for searches of ``radius``; ``value``: number of points."""
     if not radius > 0:
         raise OptionError(f"the radius of a grid is above zero, not {radius:g}")
     there = _on_device(points)

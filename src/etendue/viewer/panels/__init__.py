@@ -2,9 +2,9 @@
 
 A panel is a subclass of :class:`Panel` in a file of this folder, listed in :data:`PANELS`, and an ES module in
 ``assets/panels``. It gets the messages whose type begins with its name (``rays.trace`` is ``handle("trace", ...)`` of
-the panel ``rays``), and sends its own with the same beginning.
+the panel ``rays``), and sends its own messages with the same beginning.
 
-All methods of a panel run in the session's thread, in which alone Mitsuba and Dr.Jit are used, between two passes.
+All methods of a panel run in the session's thread, between two passes. No other thread uses Mitsuba or Dr.Jit.
 
 The module exports a function that is called once with its ``host``::
 
@@ -21,10 +21,10 @@ The module exports a function that is called once with its ``host``::
       host.page(title)                      // -> {element, close()}: the same with an element for text and pictures
       host.ask(type, data)                  // a message to the session itself, such as "camera"
       host.make(tag, attributes, ...children), host.short(number)  // build elements, write numbers
-      host.numeric(text), host.numerics(text)  // -> numbers that were typed, or what else was typed instead
-      host.fillIn(input, value)             // show what holds in a field, unless something is being typed there
+      host.numeric(text), host.numerics(text)  // -> the number or numbers typed; text that is no number stays text
+      host.fillIn(input, value)             // show the current value in a field, unless something is being typed there
       host.isTyping(element)                // whether something is being typed below an element
-      host.say(text, kind)                  // a line in the log of the page; kind "error" for what is wrong
+      host.say(text, kind)                  // a line in the log of the page; kind "error" for an error
     }
 
 Colours, spacing and focus rings come from ``viewer.css``; use its variables (``--ink``, ``--panel``, ``--accent``).
@@ -60,8 +60,8 @@ class Panel:
 
     def __init__(self, session: Session) -> None:
         #: ``session.problem``: scene, sensor and size that are rendered, ``None`` without a scene; ``session.pose``;
-        #: ``session.layers``: those of the latest picture; ``session.again()``: what is rendered has changed, start the
-        #: picture anew; ``session.broadcast(kind, payload, **fields)`` to all pages, ``client.send`` to one.
+        #: ``session.layers``: layers of the latest picture; ``session.again()``: start the picture anew after a change;
+        #: ``session.broadcast(kind, payload, **fields)`` to all pages, ``client.send`` to one.
         self.session = session
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
@@ -72,13 +72,13 @@ class Panel:
         return None
 
     def scene_loaded(self) -> None:
-        """Another scene is there, or the same was loaded again (a light was added). ``session.problem`` is new."""
+        """Another scene was loaded, or the same scene again (a light was added). ``session.problem`` is new."""
 
     def scene_edited(self) -> None:
-        """Parameters of the scene were changed in place: what was made from it is old."""
+        """Parameters of the scene were changed in place: everything computed from it is outdated."""
 
     def after_pass(self) -> None:
-        """A pass was added to the picture, and pages were told."""
+        """A pass was added to the picture, and pages were informed."""
 
     def work(self) -> bool:
         """A slice of work of its own, of at most about 0.2 seconds, between two passes; returns whether more is left.
@@ -86,7 +86,7 @@ class Panel:
         return False
 
     def loading(self, state: mi.parser.ParserState, same: bool) -> None:
-        """Change the parsed scene before its objects are built. ``same``: it is the scene of before, loaded again."""
+        """Change the parsed scene before its objects are built. ``same``: it is the previous scene, loaded again."""
 
     def describe(self, state: mi.parser.ParserState) -> None:
         """Change the parsed scene before it is written to a file, so that it has the panel's edits."""
@@ -96,7 +96,7 @@ class Panel:
         return False
 
     def close(self) -> None:
-        """The session ends: let go of scenes and arrays."""
+        """The session ends: release scenes and arrays."""
 
 
 def panels(session: Session) -> dict[str, Panel]:

@@ -1,4 +1,4 @@
-"""Lights: those of the scene, and others that are added."""
+"""Lights of the scene, and lights that are added."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from . import Panel
 if TYPE_CHECKING:
     from ..clients import Client
 
-#: What can be added.
+#: Kinds of lights that can be added.
 _KINDS = ("point", "area", "sky", "image")
 
 
@@ -29,7 +29,7 @@ class Lights(Panel):
     title: ClassVar[str] = "Lights"
     script: ClassVar[str] = "lights.js"
 
-    _own: tuple[str, ...] = ()  #: names of the scene's own
+    _own: tuple[str, ...] = ()  #: names of the scene's own lights
 
     def scene_loaded(self) -> None:
         """Find the lights in the scene's description."""
@@ -43,19 +43,19 @@ class Lights(Panel):
             self._own = ()  # a scene in memory has no description
 
     def state(self) -> dict[str, Any]:
-        """The lights, and where a new one is placed if nothing else is said."""
+        """The lights of the scene, the added lights, and the kinds that can be added."""
         edits = self.session.asked.lights
         own = [{"name": n, "index": k, "off": k in edits.removed} for k, n in enumerate(self._own)]
         added = [{"name": _named(light), "index": k} for k, light in enumerate(edits.added)]
         return {"own": own, "added": added, "kinds": _KINDS}
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
-        """``add`` a light; ``remove`` one that was added; ``switch`` one of the scene off or on."""
+        """``add`` a light; ``remove`` an added light; ``switch`` a light of the scene off or on."""
         if isinstance(self.session.main, Still):
             raise OptionError("this is a picture without a scene; open one first")
         edits = self.session.asked.lights
         if verb == "add":
-            # A name of its own, which it keeps when others are removed, for changes of its parameters.
+            # A unique name, kept when other lights are removed, so that changes of parameters find the light.
             number = 1 + max((int(one["id"].rpartition("-")[2]) for one in edits.added), default=0)
             light = {"id": f"added-light-{number}", **self._light(message)}
             edits = replace(edits, added=(*edits.added, light))

@@ -30,22 +30,22 @@ class Parameters(Panel):
         self._changes: dict[str, Any] = {}
         self._editor: SceneEditor | None = None
         self._own: dict[str, Any] = {}  # values before the first change
-        #: Those of the scene that is being loaded, which may fail.
+        #: (changes, values before them) of the scene that is being loaded; loading may fail.
         self._next: tuple[dict[str, Any], dict[str, Any]] = {}, {}
         self._late: list[str] = []  # changes that are made once the scene is built
 
     def loading(self, state: mi.parser.ParserState, same: bool) -> None:
-        """Make the changes again, those whose element is still there."""
+        """Make the changes again whose elements still exist."""
         changes = dict(self._changes) if same else {}
         self._next, self._late = (changes, self._own if same else {}), []
         for key in changes:
             try:
                 ParameterChanges({key: changes[key]})(state)
-            except EtendueError:  # of an element that is built already, or that is gone
+            except EtendueError:  # the element is built already, or is gone
                 self._late.append(key)
 
     def scene_loaded(self) -> None:
-        """Parameters of the new scene."""
+        """Take the parameters of the new scene, and make the late changes."""
         self._changes, self._own = self._next
         self._next = {}, {}
         problem, asked = self.session.problem, self.session.asked
@@ -66,7 +66,7 @@ class Parameters(Panel):
         return {"parameters": found, "changes": self._changes, "own": self._own}
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
-        """``set`` a value, ``reset`` one or (without ``key``) all."""
+        """``set`` a value, ``reset`` one value or (without ``key``) all."""
         if self._editor is None:
             raise OptionError("a scene in memory is changed by mi.traverse; open its file to edit it here")
         if verb == "set":

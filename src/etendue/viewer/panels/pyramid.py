@@ -1,4 +1,4 @@
-"""The technique pyramid of the picture: what each way of making paths contributes."""
+"""The technique pyramid of the picture: the contribution of each sampling technique."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Pyramid(Panel):
-    """Shows the layers that ``pyramid=true`` makes as triangles."""
+    """Shows the layers of ``pyramid=true`` as triangles."""
 
     name: ClassVar[str] = "pyramid"
     title: ClassVar[str] = "Technique pyramid"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Arrays = Mapping[str, NDArray[Any]]
 
-#: Most paths that are drawn, and most light paths of photons.
+#: Most paths that are drawn, and most light paths that make photons.
 _MOST_PATHS, _MOST_PHOTONS = 2000, 50_000
 #: Rows of the picture of a guide's directions.
 _ROWS = 64
@@ -48,7 +48,7 @@ class Space(Panel):
         self._seed = 0
 
     def state(self) -> dict[str, Any]:
-        """Number of the scene, names of its lights, kinds of trees, and what is going on."""
+        """Number of the scene, names of its lights, kinds of trees, and whether a solution or a guide exists."""
         problem = self.session.problem
         lights = [] if problem is None else [_light_name(emitter) for emitter in problem.scene.emitters()]
         return {
@@ -60,14 +60,14 @@ class Space(Panel):
         }
 
     def scene_loaded(self) -> None:
-        """Nothing drawn belongs to the new scene, but a solution that was asked for with it."""
+        """Drop everything of the scene before; read a solution that was given with the new scene."""
         self.scene_edited()
         asked = self.session.asked
         if asked.solution is not None and self.session.problem is not None:
             self._solution = SavedSolution(self.session.problem, asked.solution)
 
     def scene_edited(self) -> None:
-        """Paths and solutions of the scene before an edit are old."""
+        """Drop paths and solutions, which are outdated after an edit."""
         self._scenes += 1
         self.close()
 
@@ -78,8 +78,8 @@ class Space(Panel):
         self._solution = self._recorder = None
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
-        """``mesh``, ``paths``, ``photons``, ``tree``, ``solve``, ``stop``, ``guide``; all but the last three are
-        answered to the page that asks."""
+        """``mesh``, ``paths``, ``photons``, ``tree``, ``solve``, ``stop``, ``guide``; the first four and
+        ``guide`` answer the page that asks, ``solve`` all pages."""
         handlers = {
             "mesh": self._mesh,
             "paths": self._paths,
@@ -97,7 +97,7 @@ class Space(Panel):
         handlers[verb](problem, message, client)
 
     def work(self) -> bool:
-        """Cast lines for the solution, and send what is new."""
+        """Cast lines for the solution, and send a new solution."""
         live = self._solution
         if live is None or live.is_done:
             return False
@@ -197,13 +197,13 @@ class Space(Panel):
     # ------------------------------------------------------------------ parts
 
     def _guide(self) -> Guide | None:
-        """That of the picture's method."""
+        """The guide of the picture's method; ``None`` without one."""
         main = self.session.main
         guide = getattr(main.method, "guide", None) if isinstance(main, Refinement) else None
         return guide if isinstance(guide, Guide) else None
 
     def _recorded(self, problem: Problem, depth: int) -> PathRecorder:
-        """A recorder for the scene as it is now. It is kept for further paths; tables of lights take a while."""
+        """A recorder for the current scene. It is kept for further paths, because making tables of lights is slow."""
         if self._recorder is None or self._recorder[0].scene is not problem.scene or self._recorder[1] != depth:
             self._recorder = problem, depth, PathRecorder(problem, depth)
         recorder = self._recorder[2]

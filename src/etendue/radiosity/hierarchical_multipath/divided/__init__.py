@@ -1,1 +1,1 @@
-"""Hierarchical multipath whose boxes live in several processes: what each has, and what they tell each other."""
+"""Hierarchical multipath with boxes in several processes: the data of each process, and their messages."""

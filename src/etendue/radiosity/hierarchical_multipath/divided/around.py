@@ -1,4 +1,4 @@
-"""Hierarchical multipath that has the root of a scene only: its boxes are in other processes."""
+"""Hierarchical multipath in the process that has the root of a scene; its boxes are in other processes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Talk: TypeAlias = Generator[Sequence[Message] | None, Sequence[Message] | None, 
 
 
 class _Seen:
-    """What is known of a part in another process."""
+    """The data of a part in another process that :func:`.lists_of` needs."""
 
     def __init__(self, transmittance: Array) -> None:
         self.transmittance = transmittance
@@ -30,18 +30,18 @@ class _Seen:
 class DividedMultipath(HierarchicalMultipath):
     """:class:`HierarchicalMultipath` of a scene whose boxes are in other processes, each :class:`.Unit` in one.
 
-    This process has the lines around the boxes, the first shot, which needs all surfaces as they are, and of each pass
-    the power of all patches. :meth:`talk` makes a pass; its measurement is, bit for bit, that of :meth:`step`, except
-    for the counter of bytes: a part that is inside several units has lists in each.
+    This process has the lines around the boxes, the first shot, which needs all surfaces, and the power of all patches
+    for each pass. :meth:`talk` makes a pass; its measurement is equal to that of :meth:`step`, bit for bit, except for
+    the counter of bytes: a part that is inside several units has lists in each.
 
-    workers: how many units there shall be at least, if there are copies enough. The result does not depend on it.
+    workers: smallest number of units, if there are enough copies. The result does not depend on it.
     """
 
-    #: Makes what answers in the other processes, as recipes want it.
+    #: Name of the function that makes :class:`.Inside` in the other processes, in the form that recipes need.
     inside = f"{make_inside.__module__}:{make_inside.__name__}"
 
     def __init__(self, settings: HierarchicalMultipathSettings | None = None, workers: int = 1) -> None:
-        super().__init__(settings)  # points are those that workers can make
+        super().__init__(settings)  # the default points, which workers can make, too
         self._workers = workers
 
     def prepare(self, problem: PartProblem, seed: int) -> None:
@@ -51,20 +51,20 @@ class DividedMultipath(HierarchicalMultipath):
         self._number = {id(part): k for k, part in enumerate(self.tree.parts)}
 
     def arguments(self, unit: Unit) -> dict[str, NDArray[Any]]:
-        """What :func:`.make_inside` takes for a unit."""
+        """Arguments of :func:`.make_inside` for a unit."""
         parts = unit.part.distinct
         lines, numbers = [self.lines[part] for part in parts], [self._number[id(part)] for part in parts]
         return {"numbers": np.array(numbers), "lines": np.array(lines)}
 
     def weight(self, unit: Unit) -> int:
-        """A measure of the work and the memory of a unit: its patches, and its lines."""
+        """A measure of the work and the memory of a unit: the number of its patches plus the number of its lines."""
         return unit.problem.root.total + sum(self.lines[part] for part in unit.part.distinct)
 
     def talk(self, iteration: int) -> Talk:
-        """A pass. Raises :class:`RadiosityError` for answers that do not fit."""
+        """Make a pass. Raises :class:`RadiosityError` for answers of another shape."""
         options, tree, units, root = self._options, self.tree, self.units, self.root
         yield [{"do": "cast"}] * len(units)
-        shot = self._first_shot(iteration)  # meanwhile
+        shot = self._first_shot(iteration)  # while the workers cast lines
         answers = yield from _answers()
         regions, channels = len(options.regions), root.channels
         seen = {
@@ -110,14 +110,14 @@ class DividedMultipath(HierarchicalMultipath):
         return self._measured(iteration, sums, left, rays, nbytes)
 
     def _absorbed(self, received: Array) -> Array:
-        """(c,) of all patches, node by node as :class:`.Exchange` adds it up."""
+        """(c,) power absorbed by all patches, summed in the order of nodes as in :class:`.Exchange`."""
         tree, at = self.tree, self.tree.offsets
         rows = [absorbed_by(tree, node, received[at[node] : at[node + 1]]) for node in range(len(tree))]
         result: Array = np.array(rows).sum(axis=0)
         return result
 
     def _check_memory(self) -> None:
-        # What entered boxes is kept until the end of a pass, for workers that take the place of lost ones.
+        # The power that entered boxes is kept until the end of a pass, for workers that replace lost workers.
         boxes, tables = 1 + len(self.root.children), self._options.iterations + 2
         lines = {self.root: self.lines[self.root]}
         check_memory(self._options, lines, self.root.total, boxes, self.root.channels, tables)

@@ -1,4 +1,4 @@
-"""What a worker does for the boxes that it has: their lines, and the exchange of power inside them."""
+"""The work for boxes in a worker: their lines, and the exchange of power inside them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..lists import Lists, PartRays, lists_of
 from ..method import HierarchicalMultipathSettings, PartProblem, check_memory, even_points
 from ..parts import Part, Tree
 
-#: What processes tell each other: words and arrays by name.
+#: A message between processes: words and arrays by name.
 Message = Mapping[str, Any]
 
 
@@ -28,17 +28,17 @@ class Inside:
     ``cast``: casts and keeps lines through its parts; answers the ``transmittance`` (r,) of the boxes, and the
     ``bytes`` of the lists.
 
-    ``exchange``: takes ``incoming`` (k, r, c), the power that enters at the regions of its k boxes, once along the
-    lines, and answers ``outgoing`` (k, r, c), that which leaves there; ``totals`` (m, 3, c), what its m nodes sent
-    anew, sent to the sky and lost; and ``waiting`` (m, c), what is on its way in each of them. With the first such
-    message comes ``received`` (patches, c), the first shot, unless lines transport the emission.
+    ``exchange``: sends ``incoming`` (k, r, c), the power that enters at the regions of its k boxes, once along the
+    lines. Answers ``outgoing`` (k, r, c), the power that leaves at these regions; ``totals`` (m, 3, c), see
+    :meth:`.Exchange.sweep`, of its m nodes; and ``waiting`` (m, c), the unshot power in each of them. The first of
+    these messages also has ``received`` (patches, c), the first shot, unless lines transport the emission.
 
     ``end``: answers the power ``received`` by its patches (patches, c), and forgets the pass.
 
-    Lines and light depend on the seed, the number of the pass and the part's number in the whole scene, not on the
-    process. Raises :class:`RadiosityError` for messages that do not fit, and as :class:`.HierarchicalMultipath`.
+    Lines and light depend on the seed, the index of the pass and the part's index in the whole scene, not on the
+    process. Raises :class:`RadiosityError` for invalid messages, and as :class:`.HierarchicalMultipath`.
 
-    numbers, lines: of each part, inner ones first, its number among those of the whole scene, and lines of a pass.
+    numbers, lines: index of each part in the whole scene, and its lines of a pass; inner parts first.
     """
 
     name: ClassVar[str] = "hierarchical-multipath"
@@ -53,7 +53,8 @@ class Inside:
         self._exchange: Exchange | None = None
 
     def prepare(self, problem: PartProblem, seed: int) -> None:
-        """Make ready for rays. Raises :class:`RadiosityError` if memory does not hold the lists and the power."""
+        """Build the arrays for ray casting. Raises :class:`RadiosityError` if memory does not hold the lists and the
+        power."""
         self._tree, self._seed = Tree(problem.root), seed
         *self._parts, _ = self._tree.parts
         if not len(self._parts) == len(self._numbers) == len(self._counts):
@@ -65,17 +66,17 @@ class Inside:
         self._rays = {part: PartRays(part) for part in self._parts}
 
     def begin(self, iteration: int) -> None:
-        """Forget what was; the next messages are of this pass."""
+        """Forget the previous pass; the next messages are of pass ``iteration``."""
         self._iteration, self._lists, self._exchange = iteration, {}, None
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the lists, and of the power at patches and boxes."""
+        """Bytes of the lists and of the power at patches and boxes."""
         lists = sum(lists.nbytes for lists in self._lists.values())
         return lists + (0 if self._exchange is None else self._exchange.nbytes)
 
     def answer(self, message: Message) -> dict[str, Any]:
-        """See above."""
+        """Answer a message, see the class."""
         steps = {"cast": self._cast, "exchange": self._exchanged, "end": self._end}
         if message["do"] not in steps:
             raise RadiosityError(f"boxes cannot do '{message['do']}'; update étendue on the workers")
@@ -87,7 +88,7 @@ class Inside:
             points = even_points(f"part {number}", self._seed)
             made = lists_of(self._rays[part], False, count, regions, self._lists, points, self._iteration * count)
             self._lists[part] = made
-        # The part of the boxes is the last one but the root: it has all others inside.
+        # The part of the boxes is the last part before the root: it contains all others.
         return {
             "transmittance": self._lists[self._parts[-1]].transmittance,
             "bytes": sum(lists.nbytes for lists in self._lists.values()),
@@ -101,7 +102,7 @@ class Inside:
         exchange.incoming[boxes] = checked("incoming", message["incoming"], exchange.incoming[boxes].shape)
         totals = exchange.sweep()
         answer = {"outgoing": exchange.outgoing[boxes].copy(), "totals": totals[1:], "waiting": exchange.waiting()[1:]}
-        exchange.outgoing[boxes] = 0.0  # it is on its way around the boxes now
+        exchange.outgoing[boxes] = 0.0  # the process of the root has this power now
         return answer
 
     def _shot(self, message: Message) -> Shot | None:
@@ -109,7 +110,7 @@ class Inside:
             return None
         tree = self._tree
         rows = checked("received", message["received"], (int(tree.offsets[-1]), tree.root.channels))
-        nothing = np.zeros(tree.root.channels)  # what was sent and lost is counted around the boxes
+        nothing = np.zeros(tree.root.channels)  # sent and lost power is counted in the process of the root
         return Shot(Light.of_rows(tree, rows), nothing, nothing, nothing, rays=0)
 
     def _end(self, message: Message) -> dict[str, Any]:
@@ -126,13 +127,13 @@ def make_inside(
     numbers: NDArray[np.int64],
     lines: NDArray[np.int64],
 ) -> Inside:
-    """For recipes."""
+    """An :class:`Inside`, as recipes make it."""
     return Inside(settings, numbers, lines)
 
 
 def checked(name: str, values: Any, shape: tuple[int, ...]) -> Array:
-    """Power from another process. Raises :class:`RadiosityError` if it has another shape, or is not finite: the
-    solution would be wrong without a word."""
+    """Power from another process. Raises :class:`RadiosityError` for another shape, and if it is not finite: otherwise
+    the solution would be wrong without an error."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != shape:
         raise RadiosityError(f"'{name}' of a box is {array.shape}, not {shape}: is another étendue on that worker?")

@@ -1,4 +1,4 @@
-"""What one process has of a scene of parts: a part that lies directly in the root, with copies of it."""
+"""Units: the share of one process in a scene of parts, copies of a part that lies directly in the root."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Unit:
-    """A distinct part of those directly in the root, all inside it, and some or all of its copies.
+    """A distinct part that lies directly in the root, the parts inside it, and some or all of its copies.
 
-    nodes: (k,) these copies, as nodes of the whole tree. problem: these copies alone, in their places, around which
-    there is nothing. whole: (m,) for the nodes of the problem's tree but the first, which stands for the root, those
-    of the whole tree. rows: (patches,) where their patches are among those of the whole scene, node by node.
+    nodes: (k,) these copies, as nodes of the whole tree. problem: these copies alone, in their places, in an empty
+    root. whole: (m,) for each node of the problem's tree except its root, the node of the whole tree. rows: (patches,)
+    indices of their patches in the whole scene, counted node by node.
     """
 
     part: Part
@@ -40,9 +40,9 @@ def check_divisible(root: Part) -> None:
 
 
 def units_of(tree: Tree, least: int = 1) -> list[Unit]:
-    """The units of a scene: each distinct part with all of its copies, in the order of the first ones; if these are
-    fewer than ``least``, the copies of those with most patches are halved. Raises :class:`RadiosityError` for a scene
-    without boxes."""
+    """The units of a scene: each distinct part in the root with all of its copies, in the order of their first copies.
+    While there are fewer than ``least`` units, the unit of several copies with the most patches is halved. Raises
+    :class:`RadiosityError` for a scene without boxes."""
     check_divisible(tree.root)
     top = np.array(tree.levels[1])
     kinds = tree.part[top]
@@ -59,7 +59,7 @@ def units_of(tree: Tree, least: int = 1) -> list[Unit]:
 
 def _unit(tree: Tree, nodes: Index) -> Unit:
     part = tree.parts[tree.part[nodes[0]]]
-    # Transforms of the root's copies, not of the tree: those are the same to the bit once a tree is made of them.
+    # Transforms of the root's copies, not of the tree: a tree made of them has the same transforms, bit for bit.
     transforms = np.array([tree.root.children[node - 1][1] for node in nodes])
     alone = Part(None, [(part, transforms)])
     inner = Tree(alone)
