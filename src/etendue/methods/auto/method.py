@@ -38,7 +38,7 @@ from ..path import Path, path_pass, traced
 from .efficiency import LEARNING, Learned, Work, tile_pixels
 
 #: Counts of the passes that estimate moments.
-LEARNER = Candidate(0.5, 2, True)
+LEARNER = Candidate(1.0, 2, True)
 _NONE = Candidate(0.0, 0, False)
 #: The counts to choose from. Around the best ones the product of error and cost is flat: a finer table would gain some
 #: per cent, and each candidate makes the kernels of passes that learn larger.
