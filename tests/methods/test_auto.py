@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support import scenes
@@ -53,6 +55,20 @@ def test_contrast_within_a_tile_is_no_noise():
     assert learned(noisy, [8.0, 9.0], [2.0, 2.0]).errors()[1] == pytest.approx(1.25 / 4.01, rel=1e-5)
 
 
+def test_noise_that_all_candidates_have_does_not_decide():
+    """A bright path in one of 400 tiles, which all candidates find; and light in a tile that one of them misses."""
+    pictures, moments, means = [np.full((160, 160), 2.0)] * 2, np.array([5.0, 8.0]), np.array([2.0, 2.0])
+    calm = learned(pictures, moments, means)
+
+    def with_tile(more):
+        tiles = np.array(calm.tiles)
+        tiles[7, 3, 0] += 2 * np.array(more)  # over two passes
+        return replace(calm, tiles=tiles.astype(np.float32)).errors()
+
+    np.testing.assert_allclose(with_tile([1e4, 1e4]), calm.errors(), rtol=1e-5)
+    np.testing.assert_allclose(with_tile([0.0, 1e4]) - calm.errors(), [0.0, 1e4 / 4.01 / 400], rtol=1e-3, atol=1e-4)
+
+
 def test_what_was_learned_is_a_value():
     what = learned([np.full((13, 21), 2.0)] * 2, [5.0, 8.0], [2.0, 2.0])
     again = Learned.of(what.state())
@@ -85,7 +101,7 @@ def estimated():
     methods = []
     for seed in range(1, 7):
         scene = scenes.room("rectangle", scenes.FEW)
-        methods.append(prepared(scene, "auto", seed, samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2))
+        methods.append(prepared(scene, "auto", seed, samples_per_pass=SAMPLES, probe_passes=1000))
         go(methods[-1], 32, seed)
     return methods
 
@@ -126,9 +142,18 @@ def many_lamps():
     hidden = {f"above{i}": scenes.lamp([0.4 * i - 1.4, 3.5, 0.0], 0.15, 60.0) for i in range(8)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BidirectionalSettings, "shadow_roulette", 0.0)
-        method = prepared(scenes.load(scene | hidden), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2)
+        method = prepared(scenes.load(scene | hidden), "auto", samples_per_pass=SAMPLES, probe_passes=1000)
         go(method, 10)
     return method
+
+
+def test_path_tracing_has_the_roulette_that_its_moments_are_of():
+    """In a white room, paths of six edges or more are common without roulette from the second edge on."""
+    white = scenes.room("rectangle", scenes.FEW)
+    learning, fixed = (prepared(white, "auto", samples_per_pass=4, choice=choice) for choice in ("learn", "path"))
+    go(learning, 1)
+    rays = [one.method._path(5, 1, 4)[1]["rays"] for one in (learning, fixed)]
+    assert rays[0] < 0.9 * rays[1]
 
 
 def test_path_tracing_selects_the_lamps_that_its_moments_are_of(many_lamps):

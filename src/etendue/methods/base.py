@@ -261,8 +261,8 @@ class ImageMethod(ABC):
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """A walker of class ``kind`` for the prepared scene; ``own``: fields to add, or to override."""
-        common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
-        return kind(**(common | own), rr_depth=self.settings.rr_depth)
+        common: dict[str, Any] = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
+        return kind(**(common | {"rr_depth": self.settings.rr_depth} | own))
 
     def camera_numbers(
         self, lanes: mi.UInt32, samples: int, seed: int, iteration: int, role: str = "camera"

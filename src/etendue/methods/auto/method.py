@@ -21,7 +21,7 @@ import itertools
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mitsuba as mi
 import numpy as np
@@ -38,7 +38,7 @@ from ..path import Path, path_pass, traced
 from .efficiency import LEARNING, Learned, Work, tile_pixels
 
 #: Counts of the passes that estimate moments.
-LEARNER = Candidate(0.5, 2, True)
+LEARNER = Candidate(1.0, 2, True)
 _NONE = Candidate(0.0, 0, False)
 #: The counts to choose from. Around the best ones the product of error and cost is flat: a finer table would gain some
 #: per cent, and each candidate makes the kernels of passes that learn larger.
@@ -184,7 +184,7 @@ class Auto(Carrying, ImageMethod):
             common = {name: getattr(own, name) for name in names} | {"samples_per_pass": self.samples_per_iteration}
             settings = BidirectionalSettings(
                 **common,
-                rr_depth=min(own.rr_depth, BidirectionalSettings.rr_depth),
+                rr_depth=self._rr_depth,
                 radius=own.radius,
                 alpha=own.alpha,
                 light_paths=counts.light_paths,
@@ -207,6 +207,11 @@ class Auto(Carrying, ImageMethod):
             self._vcm = vcm
         return self._vcm
 
+    @property
+    def _rr_depth(self) -> int:
+        """Path length from which on Russian roulette may end a path, in passes whose counts are not fixed."""
+        return min(self.settings.rr_depth, BidirectionalSettings.rr_depth)
+
     def _rendered(
         self, counts: Candidate, iteration: int, seed: int, samples: int
     ) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -222,10 +227,12 @@ class Auto(Carrying, ImageMethod):
         """A pass of path tracing."""
         lights = self._lights_of_paths()
         # Roulette as in the passes that predict the error; with fixed counts, as in the method ``path``.
-        survival = Walker.survival if self.settings.choice in FIXED else CameraWalk.survival
+        own: dict[str, Any] = {}
+        if self.settings.choice not in FIXED:
+            own = {"rr_depth": self._rr_depth, "survival": CameraWalk.survival}
 
         def trace(ray: mi.Ray3f, source: SampleSource, first: FirstHits | None) -> CameraPath:
-            walker = self.walker(Walker, lights=lights, first=first, survival=survival)
+            walker = self.walker(Walker, lights=lights, first=first, **own)
             return traced(ray, walker, DirectWeights(), source, **self.path_fields())
 
         return path_pass(self, iteration, seed, samples, trace)
