@@ -82,6 +82,7 @@ def test_trace_info_compress_and_resume(folder, capsys):
         ("particles compress a.particles -o a.particles", "'a.particles' exists"),
         ("resume a.particles --spp 3", "only --paths, --particles, --time and --scene apply"),
         ("resume a.particles", "the budget of the checkpoint is used up; give a new one with --paths"),
+        ("resume a.particles --paths 9000 --particles 9000", "--paths and --particles limit the same"),
         ("resume scene.xml --paths 3", "scene.xml is no file of particles"),
     ],
 )

@@ -18,8 +18,9 @@ from support.run_files import SCENE, example
 
 from etendue import api, film
 from etendue.cli.main import main
-from etendue.core import Result
+from etendue.core import OutputError, Result
 from etendue.engine import Checkpoint
+from etendue.jobs import Outputs
 
 BOX = '[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n[method]\nname = "path"\n'
 
@@ -156,6 +157,45 @@ def test_a_run_that_ends_before_an_autosave_says_so(folder):
     assert main(["run", "a.toml"]) == 0
     assert Path("a.log").read_text("utf-8").splitlines()[-1] == "the run ended before its autosave at 500 s"
     assert "a-500s.exr" not in os.listdir(folder)
+
+
+def test_an_autosave_that_failed_is_made_with_the_next_one(folder, monkeypatch):
+    clock, write, failed = passes.simulate_clock(monkeypatch), Outputs.write, []
+
+    def fail_once(outputs, job, run):
+        if not failed:
+            failed.append(run.save_times)
+            raise OutputError("the disk is full")
+        return write(outputs, job, run)
+
+    monkeypatch.setattr(Outputs, "write", fail_once)
+    passes.watch(monkeypatch, "path", lambda method, iteration: clock.pass_time(0.11))
+    Path("a.toml").write_text(
+        BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 9\n[autosave]\ntimes = [0.2, 0.5, 50]\n"
+    )
+    assert main(["run", "a.toml"]) == 0
+    assert len(failed) == 1 and {"a-0.2s.exr", "a-0.5s.exr", "a.exr"} <= set(os.listdir(folder))
+    assert [row["autosave"] for row in table("a.csv")] == ["0.2", "0.5", ""]
+    assert Path("a.log").read_text("utf-8").splitlines()[-1] == "the run ended before its autosave at 50 s"
+
+
+def test_an_autosave_that_fails_at_the_end_costs_no_picture(folder, capsys, monkeypatch):
+    clock, write = passes.simulate_clock(monkeypatch), Outputs.write
+
+    def fail(outputs, job, run):
+        if outputs.pictures[0].name != "a.exr":
+            raise OutputError("the disk is full")
+        return write(outputs, job, run)
+
+    monkeypatch.setattr(Outputs, "write", fail)
+    passes.watch(monkeypatch, "path", lambda method, iteration: clock.pass_time(0.11))
+    Path("a.toml").write_text(
+        BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 9\n[autosave]\ntimes = [0.2]\n"
+    )
+    assert main(["run", "a.toml"]) == 5
+    assert "the disk is full" in capsys.readouterr().err
+    assert film.read_exr("a.exr").metadata["passes"] == 9
+    assert "ended before its autosave" not in Path("a.log").read_text("utf-8")
 
 
 def test_a_failing_pass_keeps_its_predecessors_and_the_log_says_why(folder, capsys, monkeypatch):

@@ -86,6 +86,14 @@ def test_order_of_preference(tmp_path, monkeypatch):
     assert [found.major for found in llvm.find()] == [18, 19, 21, 20, 17, 15]
 
 
+def test_the_private_library_is_preferred_behind_a_link(tmp_path, monkeypatch):
+    private = library(tmp_path / "env" / "native" / "lib", "libLLVM.so.18.1")
+    (tmp_path / "link").symlink_to("env")
+    monkeypatch.setattr(llvm, "private_directory", lambda: tmp_path / "link" / "native" / "lib")
+    monkeypatch.setattr(llvm, "_candidates", lambda: iter([library(tmp_path / "usr", "libLLVM.so.19.1"), private]))
+    assert [found.major for found in llvm.find()] == [18, 19]
+
+
 def test_a_broken_library_is_passed_over(tmp_path, monkeypatch):
     real = llvm.load_usable()
     assert real is not None

@@ -142,6 +142,7 @@ def test_what_cannot_be_done_is_one_error():
         ({"denoise": "bilatral"}, "did you mean 'bilateral'"),
         ({"denoise": "nlm"}, "needs the layer 'variance'.*--aovs"),
         ({"denoise": "gaussian", "radius": 0}, "from 1 to 64"),
+        ({"denoise": "gaussian", "radius": 2.5}, "from 1 to 64"),
         ({"denoise": "gaussian", "strength": 0.0}, "above 0"),
         ({"components": ["direct"]}, "no colour layer 'direct'"),
     ):

@@ -14,7 +14,7 @@ import pytest
 from etendue.core import OptionError, OutputError
 from etendue.display import Command, Entry, Failure, render_report, write_report
 from etendue.display.report import Layer, number_text, shared_exponent, time_text, value_text
-from etendue.film import relative_mse
+from etendue.film import ALBEDO, NORMAL, SHAPE, relative_mse
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
 
@@ -111,7 +111,7 @@ def test_page_is_well_formed_and_complete(comparison):
     assert len(rows) == 1 and "samples per pass" in rows[0]
     assert "etendue render 'a b.xml' -m vcm" in text and "processor" in text
     # At the end vcm has a fifth of the error of path, which it reaches in a tenth of the time or less.
-    assert "after 10 s" in text and "to relMSE 0.500" in text and "under 1.0 s (×10)" in text
+    assert "after 10 s" in text and "to 0.500" in text and "under 1.0 s (×10)" in text
 
 
 def test_a_method_that_failed_is_told_in_its_place(comparison):
@@ -201,6 +201,14 @@ def test_script_data_is_the_radiance(comparison):
     np.testing.assert_allclose(unpacked(layers["depth"]), depth, rtol=1 / 255)
     normal = 2.0 * unpacked(layers["normal"]) - 1.0
     np.testing.assert_allclose(normal, entries[1].layers["normal"], atol=np.abs(normal).max() / 64)
+
+
+@pytest.mark.parametrize(
+    ("names", "channels", "kind"), [(ALBEDO, 3, "albedo"), (NORMAL, 3, "direction"), (SHAPE, 1, "label")]
+)
+def test_layers_of_first_surfaces_are_known_by_all_usual_names(names, channels, kind):
+    layer = np.zeros((2, 3, channels), np.float32)
+    assert {Layer.of(name, layer).kind for name in names} == {kind}
 
 
 def test_labels_keep_their_numbers():

@@ -255,6 +255,22 @@ def test_a_save_in_time_stands_for_a_periodic_one_too(timed):
     assert saves == [(3, ()), (4, (4,)), (7, ())]
 
 
+def test_times_whose_save_failed_come_with_the_next_save(timed):
+    """Or with the end, if no other save succeeds."""
+    for failing, expected, left in ((1, [(2, (2,)), (4, (2, 4))], ()), (9, [(2, (2,)), (4, (2, 4))], (2, 4))):
+        method, clock = timed([1.0])
+        tried = []
+
+        def save(run, tried=tried, failing=failing):
+            tried.append((run.passes, run.save_times))
+            if len(tried) <= failing:
+                raise OutputError("the disk is full")
+
+        runner = Runner(method, seed=0, budget=Budget(iterations=6), on_save=save, save_at=[2, 4, 9], clock=clock)
+        assert runner.run().save_times == left
+        assert tried == expected
+
+
 @pytest.mark.parametrize("save_at", [[0.0], [2.0, 1.0], [1.0, 1.0], [float("nan")], [float("inf")], ["1"]])
 def test_times_of_saves_are_checked(noise, save_at):
     with pytest.raises(OptionError, match="times of saves"):

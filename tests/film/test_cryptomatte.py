@@ -2,6 +2,7 @@
 
 import json
 
+import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
@@ -80,6 +81,35 @@ def test_coverage_is_that_of_pictures_with_more_pixels():
         np.testing.assert_allclose(found, expected, atol=2.1 / 64)  # a ray on an edge falls to either side
         several += ((expected > 0.1) & (expected < 0.9)).sum()
     assert several > 20
+
+
+def test_the_largest_of_more_shapes_than_are_kept():
+    """The first row of rays meets eight small plates; all others meet a large one behind them."""
+    place = mi.ScalarTransform4f
+    scene = {
+        "type": "scene",
+        "sensor": {
+            "type": "orthographic",
+            "to_world": place().look_at(origin=[0, 0, 4], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 2, "height": 1, "rfilter": {"type": "box"}},
+        },
+        "light": {"type": "constant"},
+        "large": {"type": "rectangle", "to_world": place().scale(2)},
+    }
+    for number in range(8):  # of the left pixel: x from -1 to 0, y from 0.5 to -0.5 for an aspect of 2
+        x = -15 / 16 + number / 8
+        scene[f"small-{number}"] = {
+            "type": "rectangle",
+            "to_world": place().translate([x, 7 / 16, 1]).scale([1 / 20, 1 / 20, 1]),
+        }
+    layers, _ = seen_shapes(load(scene, change=unmerged), False, True)
+    ranks = np.concatenate([layers[f"CryptoObject0{k}"].reshape(2, 2, 2) for k in range(3)], axis=1)
+    large, small = as_float("large"), {float(as_float(f"small-{number}")) for number in range(8)}
+    full = next(pixel for pixel in ranks if pixel[1, 1] > 0.0)
+    assert full[0, 0] == large and full[0, 1] == 56 / 64
+    assert len(set(full[1:, 0])) == 5 and set(full[1:, 0]) <= small and (full[1:, 1] == 1 / 64).all()
+    alone = next(pixel for pixel in ranks if pixel[1, 1] == 0.0)
+    assert alone[0, 0] == large and alone[0, 1] == 1.0
 
 
 def test_a_picture_with_its_matte(tmp_path):

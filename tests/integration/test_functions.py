@@ -141,6 +141,10 @@ def test_costs_follow_the_algebra():
         (lambda: integral(Integrand(F.function, 2, on="device"), [0], Vegas()), "one integral at a time"),
         (lambda: integral(COLOUR, [0], Vegas()), "one integral at a time"),
         (lambda: integral(F, [0], Stratified(8), samples=7).evaluate(POINTS[:1]), "7 samples are too few for 8 strata"),
+        (
+            lambda: on_device(integral(F, [0], Stratified(70_000), samples=80_000), POINTS[:1, :1]),
+            "too many for single precision: at most 65536",
+        ),
         (lambda: COLOUR + Integrand(lambda x: [x[0], x[1]], 2, values=2), "of 3 and 2 values cannot be combined"),
         (lambda: COLOUR.dot([1, 2]), "as many weights"),
         (lambda: F.compose(COLOUR), "composed with as many, not 3"),
@@ -243,6 +247,30 @@ def test_an_integral_is_a_function_of_the_other_parameters(inner):
     z = (many.mean(axis=0) - (8 / 3 * POINTS[0, :20] + 2 * POINTS[1, :20])) / error
     assert (z**2).sum() < 60  # chi-square of 20 at 1e-5
     assert_unbiased(runs(MeanSample(), marginal, 50, 30), 4 / 3 + 1)
+
+
+@pytest.mark.parametrize("on", ["host", "device"])
+def test_inner_points_are_not_those_of_the_outer_integrator(on):
+    """With the seeds that both have by default."""
+    seen = []
+    f = Integrand(lambda x: (seen.append([np.array(v) for v in x]), x[0] + x[1])[1], 2, on=on)
+    MeanSample().integrate(integral(f, [1], samples=1), 100)
+    ((outer, inner),) = seen
+    # Numbers of single precision, of 23 bits: less than 0.01 of 100 are equal by chance to the number beside them.
+    assert len(outer) == len(inner) == 100 and not (outer == inner).any()
+
+
+def test_neighbouring_points_of_neighbouring_seeds_are_independent():
+    """Of an inner integrator that takes one integral at a time."""
+    found = []
+    f = Integrand(lambda x: (found[-1].append(x[1]), x[0] + x[1])[1], 2)
+    for seed in (0, 1, 2):
+        marginal = integral(f, [1], Vegas(iterations=2), samples=64, seed=seed)
+        for _ in range(2):
+            found.append([])
+            marginal.evaluate(np.array([[0.1, 0.2, 0.3]]))
+    every = np.concatenate([np.ravel(x) for x in map(np.concatenate, found)])
+    assert len(every) >= 6 * 3 * 32 and len(np.unique(every)) == len(every)
 
 
 @pytest.mark.parametrize("on", ["host", "device"])

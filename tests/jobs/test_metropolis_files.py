@@ -42,6 +42,21 @@ def test_chains_that_are_missing_are_named(tmp_path):
         trace_particles(scenes.room("rectangle", ()).scene, resume=path, paths=2 * STEPS)
 
 
+def test_a_run_that_was_killed_between_the_chains_and_their_particles(tmp_path):
+    """The chains are a pass ahead of the file, and go on. Those of an earlier pass would repeat it, and are refused."""
+    path = tmp_path / "some.particles"
+    traced(path, 1)
+    room, particles, early = scenes.room("rectangle", ()).scene, path.read_bytes(), state_file(path).read_bytes()
+    trace_particles(room, resume=path, paths=2 * STEPS)
+    late = path.read_bytes()
+    path.write_bytes(particles)
+    assert trace_particles(room, resume=path, paths=2 * STEPS).passes == 2
+    path.write_bytes(late)
+    state_file(path).write_bytes(early)
+    with pytest.raises(CheckpointError, match="has their state after pass 0, but the last pass is 1; trace a new file"):
+        trace_particles(room, resume=path, paths=3 * STEPS)
+
+
 def test_an_unknown_way_to_trace_is_named():
     with pytest.raises(OptionError, match="no way 'metropolis' to trace particles; did you mean"):
         trace_particles(scene.load("cornell-box").scene, method="metropolis")

@@ -17,7 +17,7 @@ from PIL import Image
 import etendue
 from etendue.conformance import Finding, Report
 from etendue.core import InNotebooks, Progress, Result
-from etendue.jobs import FormFactorResult, ParticleResult, RadiosityResult, Rendering
+from etendue.jobs import FormFactorResult, HierarchyResult, ParticleResult, RadiosityResult, Rendering
 from etendue.jobs.pages.notebook import LiveProgress
 from etendue.jobs.pages.solution import Making, render_solution_page
 from etendue.particles import Particles
@@ -109,12 +109,14 @@ def test_results_show_themselves(solution):
     result = rendering()
     common = {"patches": solution.patches, "stopped_by": "samples", "elapsed": 2.0, "bundles": 64}
     solved = RadiosityResult(**common, solution=solution, irradiance_error=0.1 * solution.irradiance)
+    in_boxes = HierarchyResult(None, solution.patches, solution, None, passes=16, stopped_by="samples", elapsed=2.0)
     shown: list[tuple[InNotebooks, int, list[str]]] = [
         (result, 1, ["vcm, 32 × 24", "a <b>.xml", "2 Mrays/s", "depth"]),
         (Result(result.layers, {}), 1, ["picture, 32 × 24"]),
         (Result({}, {}), 0, ["Result"]),
         (solution, 2, ["54", "0.002", "imbalance of power"]),
-        (solved, 2, ["64", "10 %"]),
+        (solved, 2, ["64", "10 %", "number of bundles"]),
+        (in_boxes, 2, ["16", "number of passes"]),
         (solution.patches, 2, ["54", "emitters"]),
         (factors(54), 1, ["2916", "1 to 1"]),
         (FormFactorResult(**common, factors=factors(54), segments=None), 1, ["64"]),

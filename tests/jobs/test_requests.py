@@ -18,7 +18,15 @@ from etendue.cli.radiosity_outputs import Options
 from etendue.core import BackendError, CheckpointError, OptionError, OutputError
 from etendue.engine import Checkpoint
 from etendue.film import read_exr, read_image
-from etendue.jobs import FormFactorRequest, RadiosityRequest, SolutionOutputs, asked_before, lines, solutions
+from etendue.jobs import (
+    FormFactorRequest,
+    HierarchyRequest,
+    RadiosityRequest,
+    SolutionOutputs,
+    asked_before,
+    lines,
+    solutions,
+)
 from etendue.radiosity import RadiosityError, read_form_factors, read_solution
 
 #: Light leaves one wall.
@@ -97,6 +105,21 @@ def test_a_request_is_checked_at_once(ask, asked, python, terminal):
             ask(**asked, **words)
         assert text in str(caught.value)
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("kind", "asked", "needed"),
+    [
+        (RadiosityRequest, {"bundles": 1}, "at least two bundles to estimate the error"),
+        (RadiosityRequest, {"solver": "multipath", "points": 1}, "at least two points to estimate the error"),
+        (HierarchyRequest, {"bundles": 1}, "at least two passes to estimate the error"),
+        (RadiosityRequest, {"ambient": "fuzzy"}, "lines to estimate the error; leave it out"),
+    ],
+)
+def test_what_a_picture_of_errors_needs(kind, asked, needed):
+    with pytest.raises(OptionError) as caught:
+        kind(source=BOX, outputs=SolutionOutputs((Path("a.png"),), error_picture=True), **asked)
+    assert str(caught.value) == f"error_picture= needs {needed}"
 
 
 @pytest.mark.parametrize(

@@ -207,3 +207,14 @@ def test_the_noise_of_its_weighted_passes():
     scatter = np.tensordot(weights**2, np.square(found.images - mean), axes=1)
     variance = scatter / (weights.sum() ** 2 - np.square(weights).sum())
     np.testing.assert_allclose(found.measurement.variance_of_mean(), variance, rtol=1e-6, atol=1e-12)
+
+
+def test_the_size_of_the_guide_is_that_of_the_state():
+    """Also if the method has learned more since."""
+    runner = prepared(behind_a_door(), "guided", samples_per_pass=64, generations=3, cell_samples=200)
+    begun, state = go(runner, 1), runner.state()
+    go(runner, 6, first=1)
+    guide = runner.method.develop(begun.measurement, state).metadata["guide"]
+    assert guide == {"generation": 1, "cells": len(state["guide"]["level"]), "places": len(state["found"])}
+    now = runner.develop(begun.measurement).metadata["guide"]
+    assert now["cells"] == runner.guide.cells > guide["cells"]

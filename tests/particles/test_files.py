@@ -134,6 +134,12 @@ def test_curved_shapes_and_instances(tmp_path):
     np.testing.assert_allclose(packed.uv, exact.uv, atol=1e-4)
 
 
+def test_a_shape_whose_name_is_a_number():
+    known = ParticleFile(whole())
+    known.surfaces.names = ["left", "right", "floor", "back", "1", "lamp"]
+    assert [known.shape(name) for name in ("1", 1, "2", "floor")] == [4, 1, 2, 2]
+
+
 def test_shapes_and_regions_that_do_not_exist():
     known = ParticleFile(whole())
     with pytest.raises(ParticleError, match=r"there is no shape 'flor' .* did you mean 'floor'"):
@@ -262,6 +268,20 @@ def test_two_runs_do_not_write_to_one_file(tmp_path):
     etendue.trace_particles(scene(), save=path, callback=second, paths=2 * PATHS, samples_per_pass=PATHS, max_bounces=3)
     assert errors == [1, 1]
     assert len(ParticleFile(path).passes) == 2 and ParticleFile(path).paths == 2 * PATHS
+
+
+def test_a_file_that_cannot_be_resumed_is_closed(tmp_path, monkeypatch):
+    """Its lock is given back, even while the error is kept."""
+    known = ParticleFile(cut(tmp_path / "a.particles", -1))
+
+    def fail(_):
+        raise OSError("on purpose")
+
+    with monkeypatch.context() as patch, pytest.raises(OutputError, match="on purpose") as caught:
+        patch.setattr("etendue.particles.writer.os.fstat", fail)
+        ParticleWriter.resume(known)
+    ParticleWriter.resume(known).close()
+    assert caught.tb is not None
 
 
 def test_a_file_that_has_changed_since_it_was_read_is_not_cut(tmp_path):

@@ -197,6 +197,8 @@ def test_what_form_factors_cannot_be():
     segments = ABuffer(cube(1), lines=10).cast(8)
     with pytest.raises(RadiosityError, match="F1, F2, F3, F4, reciprocal"):
         form_factors(segments, "F5")
+    with pytest.raises(RadiosityError, match="there is no estimator"):
+        form_factors(None, "F5")  # before it looks at any segment
     scene = RayScene(cube(1))
     for call in (
         lambda: local_form_factors(scene, 1),

@@ -362,6 +362,8 @@ def test_what_does_not_fit_is_refused():
     ):
         with pytest.raises(RadiosityError, match=message):
             HierarchicalCasting(objects, HierarchicalCastingSettings(**settings))
+    with pytest.raises(RadiosityError, match="there is no estimator"):
+        partial_form_factors(None, "F5")  # before it looks at any segment
     with pytest.raises(RadiosityError, match="of other patches"):
         HierarchicalCasting(objects).prepare(PatchProblem(room(2)), 0)
     with pytest.raises(RadiosityError, match="the main sphere needs lines"):

@@ -130,8 +130,9 @@ def test_what_cannot_be_mixed():
     mixed = with_local_rays(segments)
     with pytest.raises(RadiosityError, match="have local rays already"):
         with_local_rays(mixed)
-    with pytest.raises(RadiosityError, match="cannot be added"):
-        mixed + segments
+    for one, other in ((mixed, segments), (segments, mixed)):
+        with pytest.raises(RadiosityError, match="cannot be added"):
+            one + other
     with pytest.raises(RadiosityError, match="segments with local rays cannot be saved"):
         save_segments("mixed.nc", mixed)
 

@@ -37,13 +37,13 @@ def opened(path):
     return h5netcdf.File(path, "r")
 
 
-def made_classic(path):
+def made_classic(path, without=""):
     """As étendue wrote files before it had h5netcdf: 32-bit integers and doubles."""
     io = pytest.importorskip("scipy.io")
     with opened(path) as file:
         attributes, lengths = dict(file.attrs), {name: d.size for name, d in file.dimensions.items()}
         variables = {name: (v.dimensions, v[...], dict(v.attrs)) for name, v in file.variables.items()}
-        for name in ("shape", "shape_name"):
+        for name in ("shape", "shape_name", without):
             variables.pop(name, None)
     with io.netcdf_file(str(path), "w", version=2) as file:
         for key, value in attributes.items():
@@ -171,3 +171,8 @@ def test_refusals(tmp_path, segments):
     save_segments(tmp_path / "s.nc", segments)
     with pytest.raises(FormatError, match="it has no variable 'row_start'"):
         read_form_factors(tmp_path / "s.nc")
+    for name in ("sky_share", "lines"):
+        save_form_factors(tmp_path / "f.nc", form_factors(segments))
+        made_classic(tmp_path / "f.nc", without=name)
+        with pytest.raises(FormatError, match=f"it has no variable '{name}'"):
+            read_form_factors(tmp_path / "f.nc")

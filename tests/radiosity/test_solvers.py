@@ -207,6 +207,16 @@ def test_the_light_of_path_tracing():
         assert (np.abs(mean - found.mean(axis=1)) < 4 * error + 0.01 * mean).all(), wall.id()
 
 
+def test_conjugate_gradients_take_the_estimators_that_their_message_names():
+    patches = lit_room(2, channels=1)
+    segments = ABuffer(patches, OwenSobol(4, seed=1), 1000).cast(50)
+    with pytest.raises(RadiosityError) as error:
+        solve(patches, form_factors(segments, "F2"), "conjugate-gradient")
+    for name in ("F3", "F4", "reciprocal", "pooled"):
+        assert f"'{name}'" in str(error.value)
+        assert solve(patches, form_factors(segments, name), "conjugate-gradient").residual <= 1e-6
+
+
 def test_what_cannot_be_solved():
     patches = cube(1, reflectance=0.5, emission=1.0)
     segments = ABuffer(patches, lines=50).cast(32)
@@ -222,6 +232,7 @@ def test_what_cannot_be_solved():
         (lambda: solve(patches, segments, "guess"), "there is no solver"),
         (lambda: solve(patches, form_factors(segments, "F2"), "conjugate-gradient"), "reciprocal form factors"),
         (lambda: solve(patches, segments, tolerance=1e-9, max_iterations=2), "after 2 iterations"),
+        (lambda: solve(patches, segments, max_iterations=0), "at least one iteration, not 0"),
         (lambda: solve(cube(2, emission=1.0), factors), "there are 24 patches, but the transport is that of 6"),
     ):
         with pytest.raises(RadiosityError) as error:

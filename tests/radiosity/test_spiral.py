@@ -75,6 +75,19 @@ def test_the_rasteriser_takes_them_by_default():
     assert np.sqrt(np.mean((errors / stated) ** 2)) < 1.2
 
 
+@pytest.mark.parametrize("backend", ["compiled", "drjit"])
+def test_two_streams_of_one_rasteriser_keep_their_points(backend):
+    """Each has a spiral for its own number of bundles."""
+    engine = ABuffer(room(1), lines=500, backend=backend)
+    alone = list(engine.stream(320, size=8))
+    stream = engine.stream(320, size=8)
+    found = [next(stream)]
+    next(engine.stream(64, size=8))
+    engine.shuffled(72)
+    for one, other in zip([*found, *stream], alone, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_replicates_take_turns():
     """Five points of each of three sequences, then their next five."""
     sequences = [OwenSobol(4, seed=seed) for seed in range(3)]

@@ -57,6 +57,14 @@ def test_a_few_bright_texels_are_worth_their_power():
     assert alone.total_power == pytest.approx(12.3, rel=1e-4)
 
 
+def test_the_number_of_a_light_picks_it():
+    """Also in a table whose lights are picked with learned probabilities, others for emission than for next event."""
+    own = table(a=point(1.0), b=point(2.0), c=point(5.0))
+    rows = mi.UInt32([0, 1, 2])
+    for lights in (own, own.picked_by(np.array([0.2, 0.2, 0.6]), np.array([0.9, 0.05, 0.05]))):
+        np.testing.assert_array_equal(lights.pick_emitting(lights.number_of(rows)).row, rows)
+
+
 @pytest.mark.parametrize("name", ["rectangle", "disk", "sphere", "cylinder", "mesh"])
 def test_the_power_of_a_texture_on_a_shape(name):
     """Against points drawn uniformly on the shape."""

@@ -58,6 +58,8 @@ def test_arrays_of_a_file(tmp_path):
     np.testing.assert_allclose(patches.areas, [6, 6, 3, 3, 2, 2])
     single = read_patches(path, reflectance=0.25, emission="power")
     np.testing.assert_allclose(single.emission[:, 0], area_of)
+    given = read_patches(path, reflectance=0.01 * np.arange(24))
+    np.testing.assert_array_equal(given.reflectance[:, 0], 0.01 * np.arange(24))
 
 
 def test_broken_faces_are_left_out_with_a_warning(tmp_path, caplog):

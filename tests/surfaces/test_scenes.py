@@ -114,7 +114,7 @@ def test_a_scene_without_shapes_and_other_options():
     with pytest.raises(SceneError, match="no shapes"):
         scene_patches(mi.load_dict({"type": "scene"}))
     scene = mi.load_dict({"type": "scene", "floor": {"type": "rectangle"}})
-    for options in ({"per": "wall"}, {"segments": 2}):
+    for options in ({"per": "wall"}, {"segments": 2}, {"per": "shape", "max_area": 0.1}):
         with pytest.raises(EtendueError):
             scene_patches(scene, **options)
 

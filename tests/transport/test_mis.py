@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 from support.tables import crossed, thinned
 
-from etendue.core import on_device
-from etendue.transport import GRAZING, Counts, Mis, Techniques
+from etendue.core import OptionError, on_device
+from etendue.transport import GRAZING, Counts, Mis, SingleTechnique, Techniques
 
 #: Random paths for each pattern of specular vertices.
 COPIES = 8
@@ -376,3 +376,10 @@ def test_a_light_seen_directly_has_weight_one(name, light):
     """Hits at the first vertex compete with nothing: no technique joins a light point to the camera."""
     weight = Paths(1, light).computed([("emission", 0)], TABLE[name], 0.3, 12.0)["emission", 0]
     np.testing.assert_array_equal(weight, 1.0)
+
+
+def test_a_single_technique_refuses_to_leave_direct_light_to_next_event():
+    parts: dict[str, Any] = dict.fromkeys(("visibility", "lights", "camera", "max_edges"))
+    SingleTechnique(mis=Mis(BPT, [0.0], 1.0), **parts)
+    with pytest.raises(OptionError, match="direct=True"):
+        SingleTechnique(mis=Mis(dataclasses.replace(BPT, direct=False), [0.0], 1.0), **parts)

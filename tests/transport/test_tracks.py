@@ -121,3 +121,35 @@ def test_what_cannot_be_recorded_is_refused(glass: Problem) -> None:
         recorder.from_light(7, 10)
     with pytest.raises(OptionError, match="0"):
         recorder.from_camera(1.0, 1.0, 0)
+
+
+def white_room(**lights: float) -> Problem:
+    """A closed room with bulbs of the given intensities."""
+    room = {"type": "cube", "flip_normals": True}
+    scene = {
+        "type": "scene",
+        "camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+        "room": room | {"bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.9}}},
+    }
+    for name, value in lights.items():
+        scene[name] = {"type": "point", "position": [0.5, 0, 0], "intensity": {"type": "rgb", "value": value}}
+    return load(scene)
+
+
+def test_a_light_that_emits_nothing_has_no_paths() -> None:
+    problem = white_room(black=0.0, bright=1.0)
+    number = [emitter.id() for emitter in problem.scene.emitters()].index("black")
+    recorder = PathRecorder(problem)
+    with pytest.raises(OptionError, match=f"light {number} of the scene emits nothing"):
+        recorder.from_light(number, 10)
+    assert len(recorder.from_light(1 - number, 10)) == 10
+
+
+def test_paths_of_a_weak_light_are_as_long_as_without_the_others() -> None:
+    both = white_room(weak=1e-5, bright=1.0)
+    number = [emitter.id() for emitter in both.scene.emitters()].index("weak")
+    lengths = PathRecorder(both, 20).from_light(number, 2000).lengths
+    alone = PathRecorder(white_room(weak=1e-5), 20).from_light(0, 2000).lengths
+    # The same random numbers; the last bit of a throughput may decide a roulette otherwise.
+    assert (lengths == alone).mean() > 0.99
+    assert (alone > 6).mean() > 0.3

@@ -12,8 +12,9 @@ from support.viewing import Page
 
 import etendue
 from etendue import methods
-from etendue.film import read_exr
-from etendue.scene import SceneEditor, load, name_elements
+from etendue.core import Result
+from etendue.film import read_exr, write_exr
+from etendue.scene import SceneEditor, bundled_scene, load, name_elements
 
 SIZE = (32, 24)
 #: A scene that is parsed, but not built.
@@ -109,6 +110,40 @@ def test_an_edit_is_in_the_picture_in_the_file_and_after_a_light_is_added(viewer
     for more in made_anew[1][1:]:
         total = total + more
     np.testing.assert_allclose(method.develop(total, {}).image, shown, rtol=2e-3, atol=1e-4)
+
+
+def test_changes_are_kept_if_a_texture_cannot_be_loaded(tmp_path):
+    """The panel then lists the changes that the scene has; a picture that is opened next has none."""
+    lamp, sky, broken = "light.emitter.radiance.value", "sky.data", tmp_path / "broken.exr"
+    for name in ("own", "other"):
+        write_exr(tmp_path / f"{name}.exr", Result({"image": np.ones((4, 8, 3), np.float32)}))
+    broken.write_bytes(b"no picture")
+    scene = bundled_scene("cornell-box").build()
+    scene["sky"] = {"type": "envmap", "filename": str(tmp_path / "own.exr")}
+    with etendue.view(scene, "path", size=SIZE, samples=1, max_depth=2, folder=tmp_path) as made:
+
+        async def conversation(page):
+            page.send("parameters.set", key=lamp, value=[2.0, 30.0, 1.0])
+            await state(page, lambda own: lamp in own["changes"])
+            page.send("parameters.set", key=sky, value=str(broken))
+            await page.until("error")
+            own = (await state(page))["parameters"]
+            assert own["changes"].keys() == own["own"].keys() == {lamp}
+            page.send("parameters.set", key=sky, value=str(tmp_path / "other.exr"))
+            changes = (await state(page, lambda own: sky in own["changes"]))["parameters"]["changes"]
+            (tmp_path / "own.exr").write_bytes(b"no picture")
+            page.send("parameters.reset")
+            await page.until("error")
+            own = (await state(page))["parameters"]
+            assert own["changes"] == changes
+            assert {p["key"]: p["value"] for p in own["parameters"]}[lamp] == changes[lamp]
+            page.send("parameters.set", key=sky, value=str(broken))
+            await page.until("error")
+            page.send("open", scene=str(tmp_path / "other.exr"))
+            found, _ = await page.until("state", lambda m: m["still"])
+            assert found["panels"]["parameters"] == {"parameters": [], "changes": {}, "own": {}}
+
+        talk(made, conversation)
 
 
 @pytest.mark.slow

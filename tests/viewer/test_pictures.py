@@ -11,7 +11,8 @@ from support.viewing import Page
 import etendue
 from etendue.cli.main import main
 from etendue.core import Result
-from etendue.film import read_exr, write_exr
+from etendue.film import ALBEDO, NORMAL, read_exr, write_exr
+from etendue.viewer.shown import Show
 
 SIZE = (20, 12)
 
@@ -56,6 +57,13 @@ async def shown(page, wanted):
         found = np.asarray(Image.open(io.BytesIO(bytes(data))).convert("RGB")).astype(float)
         if wanted(found):
             return found
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, 188) for name in ALBEDO] + [(name, 191) for name in NORMAL])
+def test_layers_of_first_surfaces_are_known_by_all_usual_names(name, value):
+    """An albedo of a half has no exposure; a direction from -1 to 1 is a colour."""
+    layer = np.full((2, 3, 3), 0.5, np.float32)
+    assert (Show(layer=name).colours({"image": layer, name: layer}, 3.0) == value).all()
 
 
 def test_layers_tone_and_denoisers(viewer):

@@ -74,6 +74,16 @@ def test_a_run_file_has_the_camera(tmp_path, name, sensor, beside):
     assert (run.scene != path) == beside and (run.camera is None) == beside
 
 
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_a_run_file_has_the_chosen_camera_of_a_dictionary(sensor, tmp_path):
+    description = bundled_scene("cornell-box").build()
+    perspective = description.pop("sensor")
+    spherical = {key: perspective[key] for key in ("to_world", "film", "sampler")} | {"type": "spherical"}
+    description |= {"first": spherical, "second": perspective}
+    run = repeated(opened(description, tmp_path, size=(32, 24), sensor=sensor))
+    assert run.sensor == sensor and run.camera is None
+
+
 def test_a_camera_that_is_not_moved_is_that_of_the_file(tmp_path):
     path = written(tmp_path)
     run = RunFile.read(save(opened(path, tmp_path, size=(32, 24)), "run", "still.toml"))

@@ -160,6 +160,8 @@ def test_a_place_in_the_picture(viewer):
         ("save", {"what": "picture", "name": "../x.png"}, "without a folder"),
         ("save", {"what": "picture", "name": "x.gif"}, ".exr or .png"),
         ("save", {"what": "soul", "name": "x"}, "what can be saved"),
+        ("show", {"radius": 2.5}, "from 1 to 64"),
+        ("show", {"strength": 0}, "above 0"),
         ("dance", {}, "no message 'dance'"),
         ("lights.remove", {"index": 0}, "no light 0"),
         ("lights.add", {"kind": "point", "colour": [1, 1, -1], "position": [0, 0, 0]}, "not negative"),
@@ -246,6 +248,30 @@ def test_beside_a_second_method_and_a_reference(viewer, folder):
     found = talk(viewer, conversation)
     own = etendue.render("cornell-box", "path", samples=4, samples_per_pass=1, size=SIZE, seed=0, max_depth=4)
     assert found == pytest.approx(film.relative_mse(own.image, reference.image), rel=1e-6)
+
+
+def test_a_page_that_connects_later_sees_only_the_scene_that_is_open(viewer):
+    async def go():
+        first = await Page.open(viewer.url)
+        first.send("render", paused=False, again=True)
+        first.send("compare", method="light")
+        await first.until("frame", lambda m: m["side"] == "b")
+        first.send("render", paused=True)  # so that the opened scene has no progress
+        first.send("open", scene="cornell-box")
+        await first.until("state", lambda m: m["paused"] and m["compared"] is None)
+        await first.until("frame", lambda m: m["moving"])
+        second = await Page.open(viewer.url)
+        await second.until("state")
+        earlier = [(await second.next())[0]]  # messages come before pictures, and older pictures before newer ones
+        while earlier[-1]["type"] != "frame":
+            earlier.append((await second.next())[0])
+        assert earlier[-1]["side"] == "a" and "progress" not in [fields["type"] for fields in earlier]
+        second.send("render", paused=False)
+        await second.until("state", lambda m: not m["paused"])
+        first.close()
+        second.close()
+
+    asyncio.run(go())
 
 
 def test_a_reference_of_another_size_keeps_the_views(viewer, folder):

@@ -141,7 +141,7 @@ def resume_particles(
     from etendue.engine import Budget
     from etendue.jobs import ParticleWork
 
-    return _run(lambda: ParticleWork.resume(path, Budget(time, paths), particles, scene), path, device)
+    return _run(lambda: ParticleWork.resume(path, Budget(time, paths), particles, scene, Options()), path, device)
 
 
 @app.command()

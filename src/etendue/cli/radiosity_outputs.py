@@ -84,6 +84,6 @@ class Options(Wording):
         """See :class:`Wording`."""
         return f"{name} ({self.option(name)})"
 
-    def resume(self, checkpoint: Path, limit: str, count: int) -> str:
+    def resume(self, checkpoint: Path, limit: str = "", count: int = 0) -> str:
         """See :class:`Wording`."""
-        return f"etendue resume {checkpoint} {self.option(limit)} {count}"
+        return f"etendue resume {checkpoint}" + (f" {self.option(limit)} {count}" if limit else "")

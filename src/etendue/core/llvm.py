@@ -51,7 +51,7 @@ def private_directory(prefix: str = sys.prefix) -> Path:
 
 def find() -> list[Library]:
     """All LLVM libraries found: those in :func:`private_directory`, version 19, then the newest; unusable last."""
-    own = private_directory()
+    own = private_directory().resolve()  # as the paths of the libraries
     seen: dict[Path, Library] = {}
     for path in _candidates():
         real = path.resolve()

@@ -3,7 +3,7 @@
 from .colours import css_gradient, false_colour
 from .curves import CURVES, ToneCurve
 from .denoising import DENOISERS, Denoiser, denoiser
-from .develop import develop
+from .develop import check_filter, develop
 from .meshes import MeshView, mesh_picture
 from .pages import asset_text, page
 from .plots import Series, convergence_plot
@@ -75,6 +75,7 @@ __all__ = [
     "asset_text",
     "auto_exposure",
     "card",
+    "check_filter",
     "check_tone",
     "convergence_plot",
     "css_gradient",

@@ -6,13 +6,21 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from etendue.core import OptionError, logger
+from etendue.core import OptionError, is_whole, logger
 
 from .denoising import Picture, component_names, denoiser, find_features, restored
 from .denoising.pictures import colours
 
 #: Radius of the windows of the filters, in pixels.
 RADIUS = 5
+
+
+def check_filter(radius: int, strength: float) -> None:
+    """Raise :class:`OptionError` for a radius or a strength that :func:`develop` does not take."""
+    if not is_whole(radius) or not 1 <= radius <= 64:
+        raise OptionError(f"the radius of a filter is a whole number from 1 to 64 pixels, not {radius!r}")
+    if not 0.0 < strength <= 100.0:
+        raise OptionError(f"the strength of a denoiser is above 0 and at most 100, not {strength:g}")
 
 
 def develop(
@@ -36,10 +44,7 @@ def develop(
     Raises :class:`OptionError` for an unknown name, a layer that is missing and values out of range, and
     :class:`BackendError` if the library of a denoiser is missing.
     """
-    if not 1 <= radius <= 64:
-        raise OptionError(f"the radius of a filter is from 1 to 64 pixels, not {radius}")
-    if not 0.0 < strength <= 100.0:
-        raise OptionError(f"the strength of a denoiser is above 0 and at most 100, not {strength:g}")
+    check_filter(radius, strength)
     kind = None if denoise is None else denoiser(denoise)
     if kind is None and not components:
         components = ("image",)  # the sum of the components is the same up to rounding

@@ -171,8 +171,8 @@ class Runner:
         if self._measurement is None:
             raise Cancelled("stopped before the first pass was done; there is no picture")
         # The pass that would have reached the time limit was not started: the result counts as that at the limit.
-        seconds = self.budget.seconds if reason == "seconds" else None
-        return self._result(reason, self._saving.passed(seconds) if seconds is not None else ())
+        reached = (self.budget.seconds or 0.0) if reason == "seconds" else 0.0
+        return self._result(reason, self._saving.passed(reached))
 
     def _order(self) -> Order:
         """The order for the executor. Calls ``plan`` of a method that has it."""

@@ -41,6 +41,7 @@ class Saving:
         check_save_times(at)
         self._every = math.inf if every is None else every
         self._ahead = deque(at)
+        self._failed: tuple[float, ...] = ()  # times whose save failed
         self._clock = clock
         self._last = clock()
 
@@ -49,24 +50,29 @@ class Saving:
         self._last = self._clock()
 
     def passed(self, elapsed: float) -> tuple[float, ...]:
-        """The times ``at`` up to ``elapsed``, each returned once."""
-        passed = []
-        while self._ahead and self._ahead[0] <= elapsed + CLOCK_GRAIN:
+        """The times ``at`` up to ``elapsed``, each returned once; and those whose save failed."""
+        passed, self._failed = list(self._failed), ()
+        while self._reaches(elapsed):
             passed.append(self._ahead.popleft())
         return tuple(passed)
+
+    def _reaches(self, elapsed: float) -> bool:
+        return bool(self._ahead) and self._ahead[0] <= elapsed + CLOCK_GRAIN
 
     def after_pass(self, elapsed: float, save: Callable[[tuple[float, ...]], object], must_save: bool = False) -> None:
         """Call ``save`` with the times that were reached, if a save is due or ``must_save`` is set.
 
-        A failed save is logged and the run continues; one that ``must_save`` demands raises.
+        A failed save is logged and the run continues, and the next save gets its times as well; a failed save that
+        ``must_save`` demands raises.
         """
-        times = self.passed(elapsed)
-        if not (times or must_save) and self._clock() - self._last < self._every:
+        if not (self._reaches(elapsed) or must_save) and self._clock() - self._last < self._every:
             return
+        times = self.passed(elapsed)
         begin = self._clock()
         try:
             save(times)
         except Exception as error:
+            self._failed = times
             if must_save:
                 raise
             logger.warning("an intermediate save failed, the run continues: %s", describe(error))

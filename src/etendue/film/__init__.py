@@ -24,16 +24,20 @@ from .errors import (
 from .exr import channel_names, layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import PixelFilter
 from .flip import flip, flip_error, flip_is_installed
+from .layers import ALBEDO, NORMAL, SHAPE
 from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
+    "ALBEDO",
     "COMPONENTS",
     "ESTIMATORS",
     "FILM_COLUMNS",
     "LONGER",
     "LUMINANCE",
+    "NORMAL",
     "REFLECTED",
+    "SHAPE",
     "CellGrid",
     "Component",
     "Development",

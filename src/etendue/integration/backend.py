@@ -96,7 +96,7 @@ class Backend(Protocol):
         """How many values :meth:`clean` has replaced so far."""
         ...
 
-    def histogram(self, index: Whole, weights: Sequence[Numbers], size: int) -> list[Array]:
+    def histogram(self, index: Whole, weights: Sequence[Numbers], size: int) -> list[Numbers]:
         """For each of ``weights`` the sums over equal ``index``: ``size`` numbers, on the device not yet evaluated;
         :meth:`host` reads them."""
         ...
@@ -186,7 +186,7 @@ class HostBackend:
         """See :class:`Backend`."""
         return self._rejected
 
-    def histogram(self, index: NDArray[np.int64], weights: Sequence[Array], size: int) -> list[Array]:
+    def histogram(self, index: NDArray[np.int64], weights: Sequence[Array], size: int) -> list[Numbers]:
         """See :class:`Backend`."""
         return [np.asarray(np.bincount(index, w, size), dtype=np.float64) for w in weights]
 
@@ -289,7 +289,7 @@ class DeviceBackend:
         """See :class:`Backend`."""
         return int(self._counter[0])
 
-    def histogram(self, index: mi.UInt32, weights: Sequence[mi.Float], size: int) -> list[Array]:
+    def histogram(self, index: mi.UInt32, weights: Sequence[mi.Float], size: int) -> list[Numbers]:
         """See :class:`Backend`."""
         dr = self._dr
         sums = [dr.zeros(self._float, size) for _ in weights]

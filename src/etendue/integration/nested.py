@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from etendue.core import seed_key
+
 from .backend import Numbers, array_namespace
 from .errors import IntegrationError
 from .estimate import Integrator, Work
@@ -28,8 +30,8 @@ def integral(
     ``integrator``: :class:`MeanSample`, :class:`Stratified`, :class:`QuasiMonteCarlo` or :class:`Importance`, whose
     points do not depend on the function. Any other integrator is run point by point on the host, which is slow.
     Each evaluation uses new random numbers, so that an unbiased integrator of this function stays unbiased. Nested
-    integrals, and the integrator of the outermost one, need different seeds: with equal seeds they use the same random
-    numbers. The integral has as many values at a point as ``f``.
+    integrals need different seeds: with equal seeds they use the same random numbers. The integrator of the outermost
+    one may have any seed. The integral has as many values at a point as ``f``.
     """
     free = [a for a in range(f.dimension) if a not in over]
     if not free or len(free) + len(set(over)) != f.dimension:
@@ -48,7 +50,7 @@ def integral(
     def together(y: Any) -> Any:
         number = next(calls)
         on_host = array_namespace(y[0]) is np
-        work = Work(replace(inner, on="host" if on_host else "device", values=1), seed + (number << 20))
+        work = Work(replace(inner, on="host" if on_host else "device", values=1), _inner_seed(seed, number))
         y = [work.backend.broadcast(v, y) for v in y]
         work.backend.compute(*y)  # else each of them would be evaluated separately when it is read
         points, weight, size = method.spread(work, len(y[0]), samples)
@@ -66,12 +68,11 @@ def integral(
     def one_by_one(y: Any) -> Any:
         number = next(calls)
         points = np.stack([np.asarray(v, dtype=float) for v in y], axis=1)
-        return np.array(
-            [
-                method.integrate(f.fix(dict(zip(free, point, strict=True))), samples, seed + (number << 32) + n).value
-                for n, point in enumerate(points)
-            ]
-        )
+        found = []
+        for n, point in enumerate(points):
+            at = f.fix(dict(zip(free, point, strict=True)))
+            found.append(method.integrate(at, samples, _inner_seed(seed, number, n)).value)
+        return np.array(found)
 
     volume = inner.domain.volume
     low, high = f.range
@@ -82,6 +83,13 @@ def integral(
         f.on if method.batched else "host",
         values=f.values,
     )
+
+
+def _inner_seed(seed: int, number: int, point: int = 0) -> int:
+    """The seed of an evaluation, or of one point of it: a hash of 64 bits, apart from the small seeds that integrators
+    are given, and from those of neighbours."""
+    high, low = seed_key(seed, "inner integral", (number << 32) + point)
+    return (high << 32) + low
 
 
 def _mean_of_rows(values: Numbers, size: int) -> Any:

@@ -31,10 +31,7 @@ class Stratified(Integrator):
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
         d = work.dimension
-        most = work.backend.parts
-        parts = self.strata if self.strata is not None else min(max(int((samples / 2 + 1e-9) ** (1 / d)), 2), most)
-        if parts > most:
-            raise IntegrationError(f"{parts} strata of an axis are too many for single precision: at most {most}")
+        parts = self._parts(work, samples / 2, 2)
         if samples < 2 * parts**d:
             raise IntegrationError(
                 f"{samples} samples are too few to stratify {d} dimensions into {parts} parts each: "
@@ -54,12 +51,21 @@ class Stratified(Integrator):
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
         """See :class:`Integrator`. There is no error estimate, so one sample per stratum is enough."""
         d = work.dimension
-        parts = self.strata if self.strata is not None else max(int((samples + 1e-9) ** (1 / d)), 1)
+        parts = self._parts(work, samples, 1)
         if samples < parts**d:
             raise IntegrationError(f"{samples} samples are too few for {parts**d} strata: at least one each")
         size = samples // parts**d * parts**d
         u = stratified_points(work, integrals * size, [parts] * d, 0, size // parts**d)
         return work.box.from_unit(u), work.box.volume, size
+
+    def _parts(self, work: Work, strata: float, least: int) -> int:
+        """Strata of an axis: by default as many as give ``strata`` in all, and at least ``least``."""
+        most = work.backend.parts
+        if self.strata is None:
+            return min(max(int((strata + 1e-9) ** (1 / work.dimension)), least), most)
+        if self.strata > most:
+            raise IntegrationError(f"{self.strata} strata of an axis are too many for single precision: at most {most}")
+        return self.strata
 
 
 def stratified_points(work: Work, count: int, parts: list[int], first: int, size: int) -> list[Numbers]:

@@ -64,6 +64,10 @@ class HierarchyRequest(RadiosityRequest):
         return "lines"
 
     @property
+    def _counted(self) -> str:
+        return "passes"
+
+    @property
     def name(self) -> str:
         """See :class:`LinesRequest`."""
         return "<parts>" if isinstance(self.source, Part) else super().name
@@ -89,7 +93,6 @@ class HierarchyRequest(RadiosityRequest):
     def _check_options(self) -> None:
         self.settings  # noqa: B018 (checked)
         if isinstance(self.source, Part):
-            self._check_groups()
             if self.max_area is not None or self.parameters is not None or self._is_grouped:
                 raise OptionError(
                     "parts are given: leave out max_area, parameters, objects, threshold, least and levels"
@@ -154,7 +157,6 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
         request: HierarchyRequest,
         saved: Checkpoint | None = None,
         *,
-        is_watched: bool = False,
         tell: Callable[[str], object] = logger.info,
     ) -> None:
         super().__init__(request, saved)

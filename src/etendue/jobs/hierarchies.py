@@ -63,10 +63,10 @@ class HierarchyOptions:
                     raise OptionError(f"{option} is for lines in a hierarchy: give {needed}, too")
             return
         HierarchicalCastingSettings.from_mapping(self.hierarchy_settings, owner="a hierarchy")
-        if not isinstance(self.hierarchy, (str, bool)):
-            object.__setattr__(self, "hierarchy", np.asarray(self.hierarchy).tolist())  # plain, for checkpoints
-        elif isinstance(self.hierarchy, str) and self.names_an_array:
+        if self.names_an_array:
             check_array(self.hierarchy, is_mesh)
+        elif not isinstance(self.hierarchy, (str, bool)):
+            object.__setattr__(self, "hierarchy", np.asarray(self.hierarchy).tolist())  # plain, for checkpoints
 
 
 def objects_by(patches: Patches, by: Any = None, walls: Sequence[str | int] | None = None) -> Objects:

@@ -113,10 +113,7 @@ class LinesRequest(ABC):
         check_period(self.save_every)
 
     def _check_count(self, name: str, value: Any) -> None:
-        whole = is_number(value) and float(value).is_integer()
-        if value is not None and not (whole and value >= 1):
-            limit = self.wording.limit(name)
-            raise OptionError(f"a budget in {limit} must be a whole number of at least 1, not {value!r}")
+        self.wording.check_count(name, value)
 
     def _check_options(self) -> None:
         """Refuse options of another kind of source."""

@@ -22,7 +22,6 @@ from etendue.core import (
     Record,
     State,
     describe,
-    is_number,
     logger,
     prepared,
     suggest,
@@ -60,6 +59,7 @@ if TYPE_CHECKING:
 #: Light paths, if no budget is given.
 DEFAULT_PATHS = 1_000_000
 _ROWS = "particles"  #: name of the record of particles
+_PASS = "after_pass"  #: name of the number of the last pass in the file of a state
 #: Ways to trace particles, by name.
 TRACINGS: dict[str, Any] = {kind.name: kind for kind in (ParticleTracing, MetropolisParticles)}
 
@@ -85,25 +85,24 @@ class ParticleRequest:
     wording: Wording = PYTHON
 
     def __post_init__(self) -> None:
-        for name in ("paths", "particles"):
-            value = getattr(self, name)
-            whole = is_number(value) and value >= 1 and float(value).is_integer()
-            if value is not None and not whole:
-                limit = self.wording.limit(name)
-                raise OptionError(f"a budget in {limit} must be a whole number of at least 1, not {value!r}")
-        if None not in (self.paths, self.particles):
-            paths, particles = map(self.wording.option, ("paths", "particles"))
-            raise OptionError(f"{paths} and {particles} limit the same; give one of them")
+        _check_counts(self.wording, self.paths, self.particles)
         Budget(self.seconds)
         Codec.parse(self.codec)
         if self.method not in TRACINGS:
             raise OptionError(f"no way '{self.method}' to trace particles; {suggest(self.method, TRACINGS)}")
         TRACINGS[self.method].Settings.from_mapping(self.settings, owner=f"tracing by {self.method}")
         if self.output is not None and self.output.exists():
-            raise OptionError(
-                f"'{self.output}' exists: choose another name, remove it, or go on with its particles by "
-                f"etendue resume {self.output}"
-            )
+            resume = self.wording.resume(self.output)
+            raise OptionError(f"'{self.output}' exists: choose another name, remove it, or go on with it by {resume}")
+
+
+def _check_counts(wording: Wording, paths: int | None, particles: int | None) -> None:
+    """Raise :class:`OptionError` unless at most one is given, a whole number of at least 1."""
+    wording.check_count("paths", paths)
+    wording.check_count("particles", particles)
+    if None not in (paths, particles):
+        one, other = wording.option("paths"), wording.option("particles")
+        raise OptionError(f"{one} and {other} limit the same; give one of them")
 
 
 @dataclass
@@ -170,27 +169,29 @@ class ParticleWork:
             "paths_per_pass": tracing.samples_per_iteration,
             "versions": versions(),
         } | ({} if request.boxes is None else {"boxes": list(request.boxes)})
-        codec = Codec.parse(request.codec)
-        return cls(job, ParticleWriter.create(request.output, header, tracing.surfaces, codec))._cut(request.boxes)
+        writer = ParticleWriter.create(request.output, header, tracing.surfaces, Codec.parse(request.codec))
+        return cls(job, writer)._cut(request.boxes)
 
     def _cut(self, boxes: Sequence[int] | None) -> ParticleWork:
-        if boxes is not None:
-            x, y, z = boxes
-            self.boxes = x, y, z
+        self.boxes = None if boxes is None else (boxes[0], boxes[1], boxes[2])
         return self
 
     @classmethod
-    def resume(cls, path: Path, budget: Budget, particles: int | None = None, scene: Any = None) -> ParticleWork:
+    def resume(
+        cls, path: Path, budget: Budget, particles: int | None = None, scene: Any = None, wording: Wording = PYTHON
+    ) -> ParticleWork:
         """Continue a file; without a budget, with the rest of the budget of its run. ``scene``: its new place.
 
-        Raises :class:`ParticleError` for a file that cannot be read, :class:`CheckpointError` if the scene has changed
-        or the budget is used up."""
+        Raises :class:`OptionError` for limits as in a request, :class:`ParticleError` for a file that cannot be read,
+        :class:`CheckpointError` if the scene has changed or the budget is used up."""
+        _check_counts(wording, budget.samples, particles)
         known = ParticleFile(path)
         saved = _checkpoint(known)
         if particles is not None:
             per_path = len(known) / max(known.paths, 1) or 1.0
             budget = Budget(budget.seconds, max(1, round(particles / per_path)))
-        budget = budget or remaining(saved, "--paths, --particles or --time")
+        one, other, time_ = map(wording.option, ("paths", "particles", "seconds"))
+        budget = budget or remaining(saved, f"{one}, {other} or {time_}")
         job = Job.resume(saved, TRACINGS[saved.method], budget=budget, scene=scene)
         return cls(job, ParticleWriter.resume(known))._cut(known.header.get("boxes"))
 
@@ -241,7 +242,7 @@ class ParticleWork:
     def keep(self, run: RunResult) -> None:
         """See :class:`Work`: passes are in the file already."""
         if self._writer is not None and self._writer.passes:
-            self._writer.close(**self._ending(run))
+            self._writer.close(stopped_by=run.stopped_by, elapsed=run.elapsed, **_budget_of(self._job))
 
     def finish(self, run: RunResult) -> ParticleResult:
         """See :class:`Work`."""
@@ -259,13 +260,10 @@ class ParticleWork:
             self._traffic,
         )
 
-    def _ending(self, run: RunResult) -> dict[str, Any]:
-        return {
-            "stopped_by": run.stopped_by,
-            "elapsed": run.elapsed,
-            "earlier": self._job.earlier,
-            "budget": self._job.budget.to_dict(),
-        }
+
+def _budget_of(job: Job) -> dict[str, Any]:
+    """What a file notes of the budget, so that a resumed run has the rest."""
+    return {"budget": job.budget.to_dict(), "earlier": job.earlier}
 
 
 class _Written:
@@ -297,20 +295,17 @@ class _Written:
 
     def shares(self) -> dict[str, int]:
         """Passes of each worker."""
-        shares = getattr(self._inner, "shares", dict)
-        return dict(shares())
+        return dict(getattr(self._inner, "shares", dict)())
 
     def _write(self, made: Pass) -> Pass:
         measurement, begin = made.measurement, self._last
         ((key, rows),) = ((key, measurement.records[_ROWS][key]) for key in measurement.records[_ROWS].passes)
-        # A killed run is resumed with the rest of this budget.
-        known = {"budget": self._job.budget.to_dict(), "earlier": self._job.earlier}
         self._last = time.perf_counter()
-        elapsed = round(self._last - self._began, 3)
         counters = measurement.counters | {"seconds": self._last - begin}
-        self._writer.add(key[1], rows, counters, elapsed=elapsed, **known)
-        if made.state:
-            _save_state(self._writer.path, made.state)
+        elapsed = round(self._last - self._began, 3)
+        if made.state:  # first: without it, the particles of a killed run could not go on
+            _save_state(self._writer.path, made.state, key[1])
+        self._writer.add(key[1], rows, counters, elapsed=elapsed, **_budget_of(self._job))
         # A file contains only particles and counters.
         kept = Measurement({}, {}, measurement.iterations, counters=measurement.counters, records={_ROWS: Record()})
         return Pass(kept, made.state)
@@ -330,22 +325,27 @@ def state_file(path: Path) -> Path:
     return path.with_name(path.name + ".state")
 
 
-def _save_state(path: Path, state: State) -> None:
-    arrays: dict[str, Any] = {name: np.asarray(values) for name, values in state.items()}
+def _save_state(path: Path, state: State, iteration: int) -> None:
+    arrays: dict[str, Any] = {name: np.asarray(values) for name, values in state.items()} | {_PASS: iteration}
     with replacing(state_file(path)) as part, open(part, "wb") as file:
         np.savez(file, **arrays)
 
 
-def _load_state(path: Path) -> State:
+def _load_state(path: Path, iteration: int) -> State:
+    """The state after the last pass, ``iteration``, or the next one, if the run was killed before that was written."""
     place = state_file(path)
     try:
         with np.load(place, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+            state = {name: arrays[name] for name in arrays.files}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise CheckpointError(
             f"the chains of '{path}' cannot go on without '{place}', which cannot be read ({describe(error)}): put it "
             "back, or trace a new file"
         ) from error
+    if (after := int(state.pop(_PASS, iteration))) not in (iteration, iteration + 1):
+        where = f"'{place}' has their state after pass {after}, but the last pass is {iteration}"
+        raise CheckpointError(f"the chains of '{path}' cannot go on: {where}; trace a new file")
+    return state
 
 
 def _checkpoint(known: ParticleFile) -> Checkpoint:
@@ -362,7 +362,7 @@ def _checkpoint(known: ParticleFile) -> Checkpoint:
     return Checkpoint(
         measurement=Measurement({}, {}, Iterations.from_json(passes), counters=dict(known.counters), records=names),
         method=method,
-        state=dict(_load_state(Path(known.path))) if TRACINGS[method].carries_on else {},
+        state=dict(_load_state(Path(known.path), passes[-1][1])) if TRACINGS[method].carries_on else {},
         settings=header["settings"],
         seed=int(header["seed"]),
         fingerprint=header["fingerprint"],

@@ -147,6 +147,11 @@ class RadiosityRequest(LinesRequest):
         return "lines" if self.chosen_solver == MULTIPATH else "bundles"
 
     @property
+    def _counted(self) -> str:
+        """What a budget counts of which the standard error needs two."""
+        return self._samples()[0]
+
+    @property
     def chosen_solver(self) -> str:
         """The requested solver, or the default."""
         return self.solver or ("conjugate-gradient" if self.bounces is None else "jacobi")
@@ -180,7 +185,7 @@ class RadiosityRequest(LinesRequest):
         self._check_limits()
         self.outputs.check(self.wording)
         if 1 in (self.bundles, self.points):
-            self.outputs.check_errors(None, self.wording)
+            self.outputs.check_errors(None, self.wording, f"at least two {self._counted} to estimate the error")
 
     def _check_limits(self) -> None:
         """Refuse options that the solver does not have."""
@@ -233,7 +238,7 @@ class RadiosityRequest(LinesRequest):
                 f"an ambient solution needs no lines: leave out {option(name)}, or give {option('bounces')} for a "
                 "solution by lines that ends in an ambient term"
             )
-        self.outputs.check_errors(None, self.wording)
+        self.outputs.check_errors(None, self.wording, "lines to estimate the error; leave it out")
 
     @property
     def _is_grouped(self) -> bool:

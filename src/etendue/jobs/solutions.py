@@ -150,11 +150,13 @@ class SolutionOutputs:
         if self.lightmap is not None and self.uv is not None:
             check_coordinates(self._coordinates(problem), (self.lightmap_size, self.lightmap_size))
 
-    def check_errors(self, error: Array | None, wording: Wording) -> None:
-        """Raise :class:`OptionError` if an error picture is requested and the errors are unknown."""
+    def check_errors(
+        self, error: Array | None, wording: Wording, needed: str = "the standard error, which is unknown; leave it out"
+    ) -> None:
+        """Raise :class:`OptionError` if an error picture is requested and the errors are unknown; it names what was
+        ``needed`` to know them."""
         if self.error_picture and error is None:
-            name = wording.option("error_picture")
-            raise OptionError(f"{name} needs at least two bundles to estimate the error")
+            raise OptionError(f"{wording.option('error_picture')} needs {needed}")
 
     # ------------------------------------------------------------------ writing
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+from etendue.core import OptionError, is_number
 
 
 class Wording:
@@ -25,9 +28,14 @@ class Wording:
         """The limit ``name`` of a budget."""
         return name
 
-    def resume(self, checkpoint: Path, limit: str, count: int) -> str:
-        """How to resume a checkpoint up to ``count`` of ``limit``."""
-        return f"resume='{checkpoint}', {limit}={count}"
+    def resume(self, checkpoint: Path, limit: str = "", count: int = 0) -> str:
+        """How to resume a checkpoint, up to ``count`` of ``limit`` if that is given."""
+        return f"resume='{checkpoint}'" + (f", {limit}={count}" if limit else "")
+
+    def check_count(self, name: str, value: Any) -> None:
+        """Raise :class:`OptionError` unless the limit ``name`` is ``None`` or a whole number of at least 1."""
+        if value is not None and not (is_number(value) and float(value).is_integer() and value >= 1):
+            raise OptionError(f"a budget in {self.limit(name)} must be a whole number of at least 1, not {value!r}")
 
 
 PYTHON = Wording()

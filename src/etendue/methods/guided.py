@@ -184,7 +184,7 @@ class Guided(Carrying, EndsInMap):
     def develop(self, measurement: Measurement, state: State) -> Result:
         """Weighted mean over the passes; the metadata contain the size of the guide."""
         result = super().develop(measurement, state)
-        size = {"cells": self._guide.cells, "places": len(state["found"])}
+        size = {"cells": len(state["guide"]["level"]), "places": len(state["found"])}
         result.metadata["guide"] = {"generation": state["generation"]} | size
         return result
 

@@ -151,15 +151,16 @@ class ParticleFile(InNotebooks):
         return np.asarray(total / max(self.paths, 1))
 
     def shape(self, name: str | int) -> int:
-        """The index of a shape by name or index. Raises :class:`ParticleError` if there is none."""
+        """The index of a shape by name or index; of the shape "12", if there is one, for "12". Raises
+        :class:`ParticleError` if there is none."""
         names = self.surfaces.names
+        if name in names:
+            return names.index(str(name))
         if isinstance(name, (int, np.integer)) or str(name).isdecimal():
             if 0 <= int(name) < len(names):
                 return int(name)
             raise ParticleError(f"there is no shape {name}: '{self.path}' has shapes 0 to {len(names) - 1}")
-        if name not in names:
-            raise ParticleError(f"there is no shape '{name}' in '{self.path}'; {suggest(str(name), names, 'it has')}")
-        return names.index(name)
+        raise ParticleError(f"there is no shape '{name}' in '{self.path}'; {suggest(str(name), names, 'it has')}")
 
     def read(self, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None) -> Particles:
         """All particles, or those on ``shapes`` (names or indices) and in ``box`` ((2, 3): lower and upper corner)."""

@@ -61,13 +61,19 @@ class ParticleWriter:
             )
         try:
             file = open(known.path, "r+b", buffering=0)  # noqa: SIM115 (closed by close)
-            _lock(known.path, file)
+        except OSError as error:
+            raise _failure(known.path, error) from None
+        _lock(known.path, file)
+        try:
             if os.fstat(file.fileno()).st_size != known.size:
-                file.close()
                 raise OutputError(f"'{known.path}' has changed since it was read; resume it again")
             file.truncate(known.end)
         except OSError as error:
+            file.close()
             raise _failure(known.path, error) from None
+        except OutputError:
+            file.close()
+            raise
         every = sorted([*known.chunks, *known.passes], key=lambda block: block.start)
         return cls(known.path, file, known.codec, known.surfaces, every, known.end)
 

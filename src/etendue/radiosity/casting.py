@@ -111,7 +111,7 @@ class LineCasting:
         goal: Literal["irradiance", "rows"] | None = None,
         most: int | None = None,
     ) -> None:
-        self._options = settings or CastingSettings()
+        self._options = self._given = settings or CastingSettings()
         #: Including the number of bundles per pass once :meth:`prepare` has chosen it, since it determines the passes.
         self.settings: AnySettings = self._options
         self.goal, self.most = goal, most
@@ -143,9 +143,8 @@ class LineCasting:
         self._error = IrradianceError(patches, self._options.replicates)
         self._seed = seed
         self.engine = self._engine_for(patches)
-        if self._options.bundles_per_pass == 0:
-            self._options = self._options.replace(bundles_per_pass=self.engine.piece(_USUAL))
-            self.settings = self._options
+        size = self._given.bundles_per_pass or self.engine.piece(_USUAL)
+        self._options = self.settings = self._given.replace(bundles_per_pass=size)
         self._take_turns()
         if self.memory() < 1:
             raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")
@@ -167,7 +166,7 @@ class LineCasting:
 
     def go_on(self, measurement: Measurement) -> None:
         """Prepare for the passes after ``measurement``. If its last pass is incomplete, the next pass also casts the
-        missing bundles. Raises :class:`CheckpointError` if it has more than ``most`` bundles."""
+        missing bundles (with replicates, as many others). Raises :class:`CheckpointError` for more than ``most``."""
         self.close()
         done = self.bundles(measurement)
         if self.most is not None and done > self.most:
@@ -186,7 +185,10 @@ class LineCasting:
         owed, left_out = self.owed
         left = min(left_out, (self.most or _ENDLESS) - owed)
         if left > 0 and owed + left_out == first:
-            chunks = [*self.engine.stream(left, owed, left), *chunks]
+            engine = self.engine
+            if self._options.replicates > 1:  # those of an earlier replicate must not count for this one
+                engine = engine.with_points(OwenSobol(4, seed=seed_key(self._seed, "owed lines", iteration)[0]))
+            chunks = [*engine.stream(left, owed, left), *chunks]
             first, end = owed, max(owed + left, end)
         if not chunks:
             raise RadiosityError(f"pass {iteration} has no lines: the limit is {self.most} bundles")

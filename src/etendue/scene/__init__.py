@@ -12,6 +12,7 @@ from .graph import materials
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate
+from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
@@ -47,6 +48,7 @@ __all__ = [
     "graph",
     "integrator_of",
     "is_described",
+    "is_sensor",
     "load",
     "load_part",
     "locate",

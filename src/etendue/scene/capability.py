@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
+from .space import SENSORS
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-_SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
 _EMITTERS = (
     "area",
     "focusarea",
@@ -62,7 +62,7 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
 
 def _check_sensor(sensor: mi.Sensor) -> None:
     name = describe(sensor, "sensor")
-    if plugin_name(sensor) not in _SENSORS:
+    if plugin_name(sensor) not in SENSORS:
         raise UnsupportedError(f"{name} is not supported; {_SENSOR_REMEDY}")
     if sensor.get_medium() is not None:
         raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")

@@ -14,7 +14,7 @@ from etendue.core import Array, logger
 
 from .builtin.table import BundledScene
 from .graph import below, contents, describe, plugin_name
-from .parsing import merge_meshes, read_properties
+from .parsing import MESH_PLUGINS, merge_meshes, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
 
 if TYPE_CHECKING:
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 Described: TypeAlias = Path | BundledScene | Mapping[str, Any]
 
 #: Shapes with a ``to_world``; ``shapegroup`` is placed by its instances, ``merge`` has shapes below it.
-_MESH_FILES = ("ply", "obj", "serialized")
-_SHAPES = (*_MESH_FILES, "rectangle", "cube", "disk", "sphere", "cylinder", "sdfgrid", "instance")
+_SHAPES = (*MESH_PLUGINS, "rectangle", "cube", "disk", "sphere", "cylinder", "sdfgrid", "instance")
 _GROUPS = ("shapegroup", "merge")
 _LAMPS = ("point", "spot")  #: lights with an intensity in watts per steradian
 #: Parameters of sensors that are lengths, and the defaults of the parameters that every sensor has.
@@ -117,7 +116,7 @@ def _largest_coordinate(state: mi.parser.ParserState, space: RenderSpace) -> flo
     scene's original units: these files have single precision."""
     import mitsuba as mi
 
-    moved = [n for n in state.nodes if n.type == mi.ObjectType.Shape and n.props.plugin_name() in _MESH_FILES]
+    moved = [n for n in state.nodes if n.type == mi.ObjectType.Shape and n.props.plugin_name() in MESH_PLUGINS]
     return max((float(np.abs(_matrix(n.props)[:3, 3]).max()) for n in moved), default=0.0) / space.scale
 
 

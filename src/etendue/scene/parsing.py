@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 Size = tuple[int, int]
 
-_MESH_PLUGINS = ("ply", "obj", "serialized")
+#: Shapes that are meshes in files.
+MESH_PLUGINS = ("ply", "obj", "serialized")
 _CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
 
 
@@ -68,7 +69,7 @@ def resize(state: mi.parser.ParserState, size: Size) -> None:
                 for key, value in zip(_CROP, scaled_window(window, old, size), strict=True):
                     props[key] = value
             props["width"], props["height"] = size
-        elif _is_sensor(node) and not _has_film(node, state):
+        elif is_sensor(node) and not _has_film(node, state):
             node.props["film"] = mi.load_dict({"type": "hdrfilm", "width": size[0], "height": size[1]})
 
 
@@ -122,7 +123,7 @@ def merge_meshes(state: mi.parser.ParserState) -> None:
     for key, node in _children(state.root, mi.ObjectType.Shape, state):
         own = read_properties(node.props).values()
         types = [state.nodes[v.index()].type for v in own if isinstance(v, mi.Properties.ResolvedReference)]
-        if node.props.plugin_name() in _MESH_PLUGINS and not {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & set(types):
+        if node.props.plugin_name() in MESH_PLUGINS and not {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & set(types):
             keys.append(key)
     if len(keys) < 2:
         return
@@ -187,7 +188,8 @@ def _children(
     return found
 
 
-def _is_sensor(node: mi.parser.SceneNode) -> bool:
+def is_sensor(node: mi.parser.SceneNode) -> bool:
+    """Whether a node of a parsed scene is a sensor."""
     import mitsuba as mi
 
     # A Python plugin in a dictionary has no type before it is built.

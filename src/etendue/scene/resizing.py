@@ -13,6 +13,7 @@ from etendue.core import OptionError
 from .graph import contents, plugin_name
 from .parsing import Size, scaled_window
 from .problem import Problem
+from .space import SENSORS
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -36,7 +37,7 @@ def resized_sensor(sensor: mi.Sensor, size: Size, pinhole: bool = False) -> mi.S
     import mitsuba as mi
 
     kind = plugin_name(sensor)
-    if kind not in ("perspective", "thinlens", "orthographic", "spherical"):
+    if kind not in SENSORS:
         raise OptionError(
             f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
         )

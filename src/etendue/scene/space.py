@@ -32,7 +32,7 @@ _FARTHEST, _SMALLEST, _RAYS = 30.0, 0.3, 16
 _LARGEST_STEP = 1e-4
 _STEP = 2.0**-24
 
-#: Sensors that see points in space, and can be moved.
+#: Sensors that are supported: they see points in space, and can be moved.
 SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
 
 Point = tuple[float, float, float]

@@ -75,7 +75,7 @@ class Splats:
         if camera.independent:
             pixel, weight, on_film = camera.filter.splat(x, y, *u)
             return SplatPlace([(pixel, mi.Float(1.0), on_film)], weight, on_film)
-        on_film = (x >= 0.0) & (x < float(camera.width)) & (y >= 0.0) & (y < float(camera.height))
+        on_film = camera.on_film(position)
         taps = camera.filter.taps(x, y) if self._grid is None else [(self._grid.cell(x, y), mi.Float(1.0), on_film)]
         return SplatPlace(taps, mi.Float(1.0), on_film)
 
@@ -142,6 +142,11 @@ class CameraSampler:
         on_film = mi.Point2f(position.x / self.width, position.y / self.height)
         ray, weight = self.sensor.sample_ray(0.0, 0.5, on_film, aperture)
         return ray, mi.Color3f(weight), aperture
+
+    def on_film(self, position: mi.Point2f) -> mi.Bool:
+        """Whether a position in pixels is on the film."""
+        x, y = position
+        return (x >= 0.0) & (x < float(self.width)) & (y >= 0.0) & (y < float(self.height))
 
     def connect(self, si: mi.SurfaceInteraction3f, aperture: mi.Point2f, active: mi.Bool) -> CameraConnection:
         """Connect ``si`` to the point of the aperture sample ``aperture``. Inactive where the projection is off the

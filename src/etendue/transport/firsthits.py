@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import IndependentSource
+from etendue.core import IndependentSource, on_device
 from etendue.film import matte_attributes, matte_layers
 from etendue.scene import Problem, graph
 
@@ -25,6 +25,8 @@ _PACKETS = 2
 _MOST_RAYS = 8
 #: Rays along each side of a pixel that find the shapes covering it, and the largest number of shapes that are kept.
 _RAYS, _RANKS = 8, 6
+#: Pixels with more shapes than are kept of which all rays are compared at once.
+_CROWDED = 1 << 14
 
 
 class FirstHits:
@@ -151,30 +153,54 @@ def _numbered(shapes: list[mi.Shape], seen: NDArray[np.uint32]) -> NDArray[np.ui
 
 
 def _covering(problem: Problem) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """(pointers to the shapes that the rays of a pixel hit first, number of rays for each shape), each (pixels, ranks).
-    Rays are stratified by the density proportional to the absolute value of the film's filter."""
+    """(pointers to the shapes that the rays of a pixel hit first, number of rays for each shape), each (pixels, ranks);
+    of more shapes, those with most rays. Rays are stratified by the density proportional to the absolute value of the
+    film's filter."""
     camera = CameraSampler(problem, independent=True)
     pixel, side = dr.arange(mi.UInt32, camera.pixels), dr.opaque(mi.UInt32, _RAYS)
-    y = pixel // camera.width
-    x = pixel - y * camera.width
     source = IndependentSource(pixel, 0, "cover", 0)
 
-    def ray(number: mi.UInt32, *ranks: mi.UInt32) -> tuple[mi.UInt32, ...]:
-        down = number // side
+    def hit(pixel: mi.UInt32, source: IndependentSource, number: mi.UInt32) -> mi.UInt32:
+        y, down = pixel // camera.width, number // side
         u, v = ((mi.Float(k) + 0.5) / _RAYS for k in (number - down * side, down))
-        film_x, film_y, _ = camera.filter.camera(x, y, u, v)
+        film_x, film_y, _ = camera.filter.camera(pixel - y * camera.width, y, u, v)
         aperture = mi.Point2f(*source.next_2d(number, dim.APERTURE))
         place = mi.Point2f(film_x / camera.width, film_y / camera.height)
-        shape = _seen(problem, problem.sensor.sample_ray(0.0, 0.5, place, aperture)[0])
+        return _seen(problem, problem.sensor.sample_ray(0.0, 0.5, place, aperture)[0])
+
+    def ray(number: mi.UInt32, crowded: mi.Bool, *ranks: mi.UInt32) -> tuple[mi.UInt32 | mi.Bool, ...]:
+        shape = hit(pixel, source, number)
         placed, result = shape == 0, []
         for known, count in zip(ranks[:_RANKS], ranks[_RANKS:], strict=True):
             here = ~placed & ((count == 0) | (known == shape))
             placed |= here
             result.append((dr.select(here, shape, known), dr.select(here, count + 1, count)))
-        return number + 1, *(known for known, _ in result), *(count for _, count in result)
+        return number + 1, crowded | ~placed, *(known for known, _ in result), *(count for _, count in result)
 
-    nothing = [dr.zeros(mi.UInt32, camera.pixels) for _ in range(2 * _RANKS)]
-    _, *ranks = dr.while_loop((mi.UInt32(0), *nothing), lambda number, *_: number < side * side, ray)
-    dr.eval(ranks)
+    nothing = [dr.zeros(mi.Bool, camera.pixels), *(dr.zeros(mi.UInt32, camera.pixels) for _ in range(2 * _RANKS))]
+    _, more, *ranks = dr.while_loop((mi.UInt32(0), *nothing), lambda number, *_: number < side * side, ray)
+    dr.eval(more, ranks)
     shapes, counts = (np.stack([np.array(rank) for rank in half], 1) for half in (ranks[:_RANKS], ranks[_RANKS:]))
+    crowded = np.flatnonzero(np.array(more)).astype(np.uint32)
+    for some in np.split(crowded, range(_CROWDED, len(crowded), _CROWDED)) if len(crowded) else ():
+        ray_of = dr.arange(mi.UInt32, len(some) * _RAYS**2)
+        place = ray_of // _RAYS**2
+        lane = dr.gather(mi.UInt32, on_device(mi.UInt32, some), place)
+        found = hit(lane, IndependentSource(lane, 0, "cover", 0), ray_of - place * _RAYS**2)
+        shapes[some], counts[some] = _largest(np.array(found).reshape(len(some), -1))
     return shapes, counts.astype(np.float32)
+
+
+def _largest(seen: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """(shapes with most rays, number of their rays), each (pixels, ranks), of what each ray has ``seen``, (pixels,
+    rays); 0 for none."""
+    pixels = np.arange(len(seen), dtype=np.uint64)[:, None]
+    both, rays = np.unique((pixels << np.uint64(32)) | seen, return_counts=True)
+    pixel, shape = (both >> np.uint64(32)).astype(np.int64), both.astype(np.uint32)
+    order = np.lexsort((-rays, shape == 0, pixel))
+    pixel, shape, rays = pixel[order], shape[order], rays[order]
+    rank = np.arange(len(pixel)) - np.searchsorted(pixel, pixel)
+    kept = (rank < _RANKS) & (shape != 0)
+    shapes, counts = np.zeros((2, len(seen), _RANKS), np.uint32)
+    shapes[pixel[kept], rank[kept]], counts[pixel[kept], rank[kept]] = shape[kept], rays[kept]
+    return shapes, counts

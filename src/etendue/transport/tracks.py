@@ -113,14 +113,18 @@ class PathRecorder:
 
     def from_light(self, light: int | None, paths: int, seed: int = 0) -> Tracks:
         """Light paths from the light with a number in ``scene.emitters()``; ``None``: from all, by power. Raises
-        :class:`OptionError` for an unknown light, or too many paths."""
+        :class:`OptionError` for an unknown light, one that emits nothing, or too many paths."""
         if light is not None and not 0 <= light < self._lights.count:
             raise OptionError(f"the scene has no light {light}; choose one of 0 to {self._lights.count - 1}")
+        share, power = 1.0, self._lights.total_power
+        if light is not None:
+            share, power = float(self._lights.probabilities[light]), float(self._lights.powers[light]) or 1.0
+        if share == 0.0:
+            raise OptionError(f"light {light} of the scene emits nothing; choose another")
         source = self._source(paths, seed)
         if light is not None:
             source = _FromLight(source, self._lights, light)
         emitted = emit(self._lights, source, dr.full(mi.Bool, True, paths))
-        share = 1.0 if light is None else float(self._lights.probabilities[light])
         path = SubPath(
             active=emitted.active & (self._most > 0),
             ray=emitted.ray,
@@ -137,19 +141,22 @@ class PathRecorder:
             rr_depth=_ROULETTE,
             proposal=scatter_light,
         )
-        return self._record(walker, path, source, paths)
+        return self._record(walker, path, source, paths, power)
 
     def _source(self, paths: int, seed: int) -> SampleSource:
         if not 1 <= paths <= MOST_PATHS:
             raise OptionError(f"1 to {MOST_PATHS} paths can be recorded, not {paths}")
         return IndependentSource(dr.arange(mi.UInt32, paths), seed, "tracks", 0)
 
-    def _record(self, walker: Walker, path: CameraPath | SubPath, source: SampleSource, paths: int) -> Tracks:
-        """Walk edge by edge, with the same kernel for all edges."""
+    def _record(
+        self, walker: Walker, path: CameraPath | SubPath, source: SampleSource, paths: int, power: float = 1.0
+    ) -> Tracks:
+        """Walk edge by edge, with the same kernel for all edges. ``power``: of the lights where light paths begin, with
+        which roulette compares their throughput."""
+        whole = dr.opaque(mi.Float, power)
         camera = isinstance(path, CameraPath)
         first = dr.select(path.active, mi.UInt32(Event.START), mi.UInt32(Event.NONE))
         columns = [_column(path.ray.o, path.throughput, first, paths)]
-        power = self._lights.total_power
         while len(columns) <= self._most:
             dr.eval(path)
             if not dr.any(path.active):
@@ -175,7 +182,7 @@ class PathRecorder:
             kind = dr.select(scattered.is_delta, kind, mi.UInt32(Event.SCATTERED))
             kind = dr.select(scattered.is_null, mi.UInt32(Event.PASSED), kind)
             path.active &= vertex.valid & (vertex.number < self._edges)
-            relative = None if camera else (path.throughput * scattered.weight / power, mi.Float(1.0))
+            relative = None if camera else (path.throughput * scattered.weight / whole, mi.Float(1.0))
             walker.advance(path, vertex, scattered, source, roulette_by=relative)
             kind = dr.select(path.active, kind, mi.UInt32(Event.ENDED))
             kind = dr.select(vertex.valid, kind, mi.UInt32(Event.LEFT))

@@ -15,7 +15,7 @@ from etendue.core import OptionError
 from etendue.display import tonemap, write_png
 from etendue.film import write_bytes
 from etendue.jobs import check_picture, save_result
-from etendue.scene import MOVABLE, BundledScene, graph, locate, scene_xml
+from etendue.scene import MOVABLE, BundledScene, graph, is_sensor, locate, scene_xml
 
 from .camera import vertical_fov
 from .refining import Refinement, Still
@@ -96,7 +96,7 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
     matrix[:3, 3] = problem.space.to_scene(pose.origin)
     if graph.plugin_name(problem.sensor) == "orthographic":  # the transform contains the size of the view
         matrix[:3, :2] /= problem.space.scale
-    sensors = [node for node in state.nodes if node.type == mi.ObjectType.Sensor]
+    sensors = [node for node in state.nodes if is_sensor(node)]
     if session.asked.sensor >= len(sensors):
         return
     props = sensors[session.asked.sensor].props

@@ -201,6 +201,8 @@ class Session:
         self.asked, self.problem, self.home, self.views = asked, problem, home, views
         self._preview, self.layers = None, {}  # the preview is made with the first moving picture
         self.main = self.compared = None
+        self._progress = {}
+        self.clients.hide("b")
         for panel in self.panels.values():  # they release the previous scene
             self._guarded(panel.scene_loaded)
         gc.collect()  # every living scene is a part of later kernels

@@ -12,9 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, is_number, is_whole
-from etendue.display import CURVES, DENOISERS, auto_exposure, check_tone, denoiser, develop, false_colour, in_pyramid
-from etendue.film import is_matte
+from etendue.core import OptionError, is_number
+from etendue.display import (
+    CURVES,
+    DENOISERS,
+    auto_exposure,
+    check_filter,
+    check_tone,
+    denoiser,
+    develop,
+    false_colour,
+    in_pyramid,
+)
+from etendue.film import ALBEDO, NORMAL, SHAPE, is_matte
 
 from .protocol import number, text
 
@@ -23,12 +33,10 @@ Bytes = NDArray[np.uint8]
 
 #: Automatic exposures use about so many pixels.
 _SAMPLES = 1 << 14
-#: Names of layers that are not light, by kind.
-_NORMALS, _ALBEDOS, _SHAPES = ("normal", "normals"), ("albedo",), ("shape", "shapes", "shape_id")
 #: Quality of JPEG while the camera moves, and afterwards.
 _MOVING_QUALITY, _QUALITY = 80, 92
-#: The scale of the error map, relative squared errors.
-ERROR_RANGE = 1e-4, 1.0
+#: Relative squared errors and variances shown as black and as yellow.
+_SQUARES = 1e-4, 1.0
 
 
 @dataclass(frozen=True)
@@ -49,12 +57,8 @@ class Show:
             denoiser(values["denoise"])
         if "radius" in message:
             values["radius"] = message["radius"]
-            if not is_whole(values["radius"]) or not 1 <= values["radius"] <= 64:
-                raise OptionError(f"the radius of a filter is from 1 to 64 pixels, not {message['radius']!r}")
         if "strength" in message:
             values["strength"] = number(message, "strength")
-            if not 0.0 < values["strength"] <= 100.0:
-                raise OptionError(f"the strength of a denoiser is above 0 and at most 100, not {values['strength']:g}")
         if "exposure" in message:
             exposure = message["exposure"]
             if exposure != "auto" and not (is_number(exposure) and abs(exposure) <= 60):
@@ -62,6 +66,7 @@ class Show:
             values["exposure"] = exposure
         shown = replace(self, **values)
         check_tone(shown.exposure, shown.curve)
+        check_filter(shown.radius, shown.strength)
         return shown
 
     def colours(self, layers: Mapping[str, Picture], stops: float) -> Bytes:
@@ -70,17 +75,17 @@ class Show:
         if name == "image":
             return toned(self.picture(layers), stops, self.curve)
         layer = layers[name]
-        if name in _NORMALS and layer.shape[2] >= 3:
+        if name in NORMAL and layer.shape[2] >= 3:
             return _bytes(0.5 + 0.5 * layer[:, :, :3])
-        if name in _SHAPES:
+        if name in SHAPE:
             return _hashed(layer[:, :, 0])
         if is_matte(name):
             return _hashed(np.ascontiguousarray(layer[:, :, 0]).view(np.uint32))
-        if name in _ALBEDOS and layer.shape[2] >= 3:
+        if name in ALBEDO and layer.shape[2] >= 3:
             return toned(layer[:, :, :3], 0.0, "srgb")
         if name == "variance":
             mean = np.square(layers["image"].astype(np.float64)).mean(axis=2) + 0.01
-            return false_colour(layer.astype(np.float64).mean(axis=2) / mean, *ERROR_RANGE)
+            return false_colour(layer.astype(np.float64).mean(axis=2) / mean, *_SQUARES)
         if layer.shape[2] < 3:
             return _greys(layer[:, :, 0])
         return toned(layer[:, :, :3], stops, self.curve)
@@ -150,7 +155,7 @@ def encoded(picture: Bytes, moving: bool = False) -> tuple[bytes, str]:
 
 def error_map(squared: NDArray[Any]) -> Bytes:
     """Relative squared errors (height, width) in false colours."""
-    return false_colour(squared, *ERROR_RANGE)
+    return false_colour(squared, *_SQUARES)
 
 
 def _bytes(values: NDArray[Any]) -> Bytes:

@@ -61,8 +61,8 @@ class Comparison:
     def run(self, console: Console) -> int:
         """Render the methods in turn, write the page and print its path. Returns the exit status.
 
-        The reference and the output folder are checked before rendering. A method that fails is named on the page, and
-        its error raised when the others are done.
+        The reference and the output folder are checked before rendering. A method that fails is named on the page, with
+        the pictures of the seeds before, and its error raised when the others are done.
         """
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
@@ -90,20 +90,23 @@ class Comparison:
         return exit_code
 
     def _render(self, task: Task, console: Console) -> int:
-        """Render ``task`` with each seed, and note the picture of the first. Returns the exit status."""
+        """Render ``task`` with each seed, and note the picture of the first, also if a later one fails. Returns the
+        exit status."""
         name, made, curves, exit_code = task.method.name, None, [], 0
-        for index in range(self.seeds):
-            label = name if index == 0 else f"{name}-seed-{task.seed + index}"
-            history = History(self._reference)
-            outcome = self._follow(replace(task, seed=task.seed + index), label, history, console)
-            if outcome.result is not None:
-                note(console, summary(outcome.result))
-                curves.append(display.Series(label, history.errors(outcome.result.image)))
-                made = made or outcome.result
-            if exit_code := outcome.exit_code:
-                break
-        if made is not None:
-            self._entries.append(self._entry(task, made, curves))
+        try:
+            for index in range(self.seeds):
+                label = name if index == 0 else f"{name}-seed-{task.seed + index}"
+                history = History(self._reference)
+                outcome = self._follow(replace(task, seed=task.seed + index), label, history, console)
+                if outcome.result is not None:
+                    note(console, summary(outcome.result))
+                    curves.append(display.Series(label, history.errors(outcome.result.image)))
+                    made = made or outcome.result
+                if exit_code := outcome.exit_code:
+                    break
+        finally:
+            if made is not None:
+                self._entries.append(self._entry(task, made, curves))
         return exit_code
 
     def _follow(self, task: Task, label: str, history: History, console: Console) -> Outcome[Rendering]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from etendue import display, film, methods
 from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
-from etendue.jobs import Outputs, Rendering, Update
+from etendue.jobs import Outputs, Rendering, Update, Writing
 
 from ..rendering import check_reference, make_folder
 from .history import History
@@ -126,14 +126,18 @@ class Recorder:
         }
 
     def write(self, job: Job, run: RunResult) -> Rendering:
-        """At the end of a run: the autosaves that it completes, then the pictures without a time in their name."""
+        """At the end of a run: the autosaves that it completes, then the pictures without a time in their name, also if
+        an autosave fails."""
+        writing = Writing()
         if run.save_times:
-            self._save(job, run)
+            with writing.attempt("write the autosaves"):
+                self._save(job, run)
         rendering = self._keep(job, run, self._outputs(self._run.name), None, f"end ({run.stopped_by})")
-        if self._save_at:
-            self._line(self._log, f"the run ended before its autosave at {_times(list(self._save_at.values()))} s")
+        if ahead := [time for reached, time in self._save_at.items() if reached not in run.save_times]:
+            self._line(self._log, f"the run ended before its autosave at {_times(ahead)} s")
         if self._run.page:
             self._write_page(job, rendering)
+        writing.finish()
         return rendering
 
     def _write_page(self, job: Job, made: Rendering) -> None:
@@ -174,8 +178,10 @@ class Recorder:
         return [(seconds, float(error)) for seconds, error in rows if error and seconds <= self._earlier]
 
     def _save(self, job: Job, run: RunResult) -> None:
-        for time in map(self._save_at.pop, run.save_times):
-            self._keep(job, run, self._outputs(f"{self._run.name}-{_seconds(time)}s"), time, f"autosave {time:g} s")
+        for reached in run.save_times:
+            if (time := self._save_at.get(reached)) is not None:  # not written before another autosave failed
+                self._keep(job, run, self._outputs(f"{self._run.name}-{_seconds(time)}s"), time, f"autosave {time:g} s")
+                del self._save_at[reached]
         if not run.save_times:
             self._keep(job, run, self._outputs(self._run.name), None, "save")
 

@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import OptionError
-from etendue.film import Technique, is_matte
+from etendue.film import ALBEDO, NORMAL, Technique, is_matte
 
 Picture = NDArray[np.float32]
 
-#: Names of the layers of first surfaces: étendue's own, and usual names in Mitsuba, where the scene chooses them.
-_ALBEDO: Final = ("albedo", "alb", "albedos")
-_NORMAL: Final = ("normal", "normals", "sh_normal", "nn", "sn")
 _VARIANCE: Final = "variance"
 #: Layer of the emission of first surfaces, which no denoiser uses.
 _EMITTED: Final = "emitted"
@@ -48,8 +45,8 @@ def find_features(layers: Mapping[str, Picture], albedo: str | None = None, norm
     """
     found = {}
     for what, given, usual in (
-        ("albedo", albedo, _ALBEDO),
-        ("normal", normal, _NORMAL),
+        ("albedo", albedo, ALBEDO),
+        ("normal", normal, NORMAL),
         ("variance", None, (_VARIANCE,)),
     ):
         name = next((n for n in usual if n in layers), None) if given is None else given
@@ -92,7 +89,7 @@ def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -
 
 
 def _is_part(name: str, layer: Picture) -> bool:
-    features = ("image", _VARIANCE, _EMITTED, *_ALBEDO, *_NORMAL)
+    features = ("image", _VARIANCE, _EMITTED, *ALBEDO, *NORMAL)
     return _is_colour(layer) and name not in features and Technique.of_layer(name) is None and not is_matte(name)
 
 

@@ -15,6 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from etendue.film import ALBEDO, NORMAL, SHAPE
+
 Image = NDArray[np.float32]
 
 #: How the script shows a layer: with exposure and tone curve; from 0 to 1 as it is; a direction as a colour; in false
@@ -45,11 +47,10 @@ class Layer:
         if values.ndim == 3 and values.shape[2] == 1:
             values = values[:, :, 0]
         if values.ndim == 2:
-            return cls(name, "label" if name in ("shape", "shape_id") else "scalar", values)
+            return cls(name, "label" if name in SHAPE else "scalar", values)
         if values.ndim != 3 or values.shape[2] != 3:
             return None
-        known: dict[str, Kind] = {"albedo": "albedo", "normal": "direction"}
-        return cls(name, known.get(name, "radiance"), values)
+        return cls(name, "albedo" if name in ALBEDO else "direction" if name in NORMAL else "radiance", values)
 
     @property
     def range(self) -> tuple[float, float]:

@@ -102,7 +102,7 @@ def equal_errors(curves: Sequence[Series]) -> list[Column]:
         slowest = max((r.seconds for r in reached if not r.sign), default=math.nan)
         columns.append(
             Column(
-                f"to relMSE {number_text(level)}",
+                f"to {number_text(level)}",
                 [_text(r, slowest) for r in reached],
                 _fastest(reached),
             )

@@ -138,7 +138,7 @@ def _ended_by(reason: str, counted: str) -> str:
 
 def _solved(result: Any) -> str:
     """A result of radiosity: its picture, if it has one, and the solution."""
-    counted = "bundles" if getattr(result, "bundles", 0) else "lines"
+    counted = next((name for name in ("bundles", "passes") if getattr(result, name, 0)), "lines")
     facts: dict[str, Any] = {"ended by": _ended_by(result.stopped_by, counted), "time": time_text(result.elapsed)}
     for name in ("bundles", "points", "passes"):
         if getattr(result, name, 0):

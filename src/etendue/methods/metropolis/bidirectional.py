@@ -68,9 +68,8 @@ class SplatList(Sink):
 
     def place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32 | int) -> SplatPlace:
         """The film position itself; no pixel is chosen yet."""
-        p = self._position = connection.position
-        on_film = (p.x >= 0.0) & (p.x < float(self.camera.width)) & (p.y >= 0.0) & (p.y < float(self.camera.height))
-        return SplatPlace([], mi.Float(1.0), on_film)
+        self._position = connection.position
+        return SplatPlace([], mi.Float(1.0), self.camera.on_film(self._position))
 
     def add(self, s: mi.UInt32, place: SplatPlace, contribution: Weighted, kind: mi.UInt32) -> mi.Bool:
         """Keep the splat of a light sub-path of ``s >= 2`` vertices. Returns the mask of values that are not finite,

@@ -119,8 +119,10 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     """Form factors of segments, see :func:`estimate`; for at most about ten thousand patches: with more, most pairs
     have a single segment, and the segments take less memory than the form factors.
 
-    Errors are those of independent lines. Raises :class:`RadiosityError` if the form factors do not fit into memory.
+    Errors are those of independent lines. Raises :class:`RadiosityError` for an unknown estimator, and if the form
+    factors do not fit into memory.
     """
+    check_estimator(estimator)
     n, loops = len(segments.patches), compiled()
     need, free = 4 * len(segments) + 64 * min(2 * len(segments), n**2), free_memory()
     if free is not None and need > free:
@@ -169,8 +171,7 @@ def estimate(
     ``pooled``      ``2 r_ij / (r_i + r_j A_i / A_j)``         the same, with the counted lines of both patches
     ==============  =========================================  =====================================================
     """
-    if estimator not in ESTIMATORS:
-        raise RadiosityError(f"there is no estimator {estimator!r} of form factors; there are: {', '.join(ESTIMATORS)}")
+    check_estimator(estimator)
     per_line = np.divide(1.0, lines, out=np.zeros(len(lines)), where=np.asarray(lines) > 0)
     own = _diagonal(per_line) @ counts
     if estimator in ("F1", "reciprocal"):
@@ -191,6 +192,12 @@ def estimate(
     weights = (counts + transposed).tocsr()
     weights.data = 1 / weights.data
     return ((counts * own + transposed * other) * weights).tocsr()
+
+
+def check_estimator(estimator: str) -> None:
+    """Raise :class:`RadiosityError` for the name of no estimator."""
+    if estimator not in ESTIMATORS:
+        raise RadiosityError(f"there is no estimator {estimator!r} of form factors; there are: {', '.join(ESTIMATORS)}")
 
 
 def pair_errors(estimated: FormFactors, exact: FormFactors) -> float:

@@ -45,7 +45,8 @@ def write_form_factors(
 
 def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     """Inverse of :func:`write_form_factors`."""
-    saved = read_netcdf(path, "form factors", ("row_start", "column", "form_factor", "form_factor_error", "area"))
+    needed = ("row_start", "column", "form_factor", "form_factor_error", "area", "sky_share", "lines")
+    saved = read_netcdf(path, "form factors", needed)
     n, structure = len(saved["area"]), (saved["column"], saved["row_start"])
     matrix, errors = (
         sparse().csr_array((saved[name], *structure), shape=(n, n)) for name in ("form_factor", "form_factor_error")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, free_memory, sparse
 
 from ..errors import RadiosityError
-from ..factors.formfactors import Estimator, FormFactors, estimate
+from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate
 from ..lines.segments import Pairs
 from .tree import SphereTree
 
@@ -138,8 +138,9 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
     ``reciprocal`` and ``pooled`` divide the number of different lines between two patches by the expected or counted
     lines of all spheres to which either patch belongs. Errors are those of independent lines.
 
-    Raises :class:`RadiosityError` if the form factors do not fit into memory.
+    Raises :class:`RadiosityError` for an unknown estimator, and if the form factors do not fit into memory.
     """
+    check_estimator(estimator)
     patches, tree = segments.patches, segments.tree
     found, both = segments.counts()
     n, lines = len(patches), segments.counted.astype(np.float64)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: Largest number of primitives of a leaf, number of bins along an axis, and depth of the stack.
+#: Largest number of primitives of a leaf, number of bins along an axis, and depth of the stack: nodes at the greatest
+#: depth that it allows are leaves of any size.
 _LEAF, _BINS, _DEPTH = 4, 16, 128
 #: Largest number of hits of a line.
 MOST_HITS = 4096
@@ -20,7 +21,8 @@ _SAME_PLACE = 1e-10
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def build(low: Any, high: Any) -> Any:
-    """A tree over boxes (n, 3): corners of its nodes (m, 2, 3), links (m, 3), and the order of the primitives.
+    """A tree over boxes (n, 3): corners of its nodes (m, 2, 3), links (m, 3), the order of the primitives, and the
+    depth of the deepest leaf.
 
     Links are: the second child (the first child follows its parent), or of a leaf its first place in the order; the
     number of primitives of a leaf, 0 for inner nodes; the axis of the split. Splits minimise the surface area
@@ -30,14 +32,15 @@ def build(low: Any, high: Any) -> Any:
     order = np.arange(count)
     corners = np.empty((2 * count + 1, 2, 3))
     links = np.zeros((2 * count + 1, 3), np.int64)
-    stack = np.empty((_DEPTH * 64, 3), np.int64)
-    stack[0] = 0, count, -1
-    top, made = 1, 0
+    stack = np.empty((_DEPTH, 4), np.int64)
+    stack[0] = 0, count, -1, 0
+    top, made, deepest = 1, 0, 0
     bins_low, bins_high = np.empty((_BINS, 3)), np.empty((_BINS, 3))
     bins, area = np.empty(_BINS, np.int64), np.empty(_BINS)
     while top > 0:
         top -= 1
-        begin, end, parent = stack[top]
+        begin, end, parent, depth = stack[top]
+        deepest = max(deepest, depth)
         node = made
         made += 1
         if parent >= 0:
@@ -52,7 +55,7 @@ def build(low: Any, high: Any) -> Any:
         corners[node, 0], corners[node, 1] = first, last
         axis = np.argmax(middle_high - middle_low)
         width = middle_high[axis] - middle_low[axis]
-        if end - begin <= _LEAF or width <= 0:
+        if end - begin <= _LEAF or width <= 0 or depth == _DEPTH - 1:
             links[node, 0], links[node, 1] = begin, end - begin
             continue
         bins[:], bins_low[:], bins_high[:] = 0, np.inf, -np.inf
@@ -87,10 +90,10 @@ def build(low: Any, high: Any) -> Any:
                 order[left], order[right] = order[right], order[left]
                 right -= 1
         links[node, 2] = axis
-        stack[top] = left, end, node
-        stack[top + 1] = begin, left, -1
+        stack[top] = left, end, node, depth + 1
+        stack[top + 1] = begin, left, -1, depth + 1
         top += 2
-    return corners[:made].copy(), links[:made].copy(), order
+    return corners[:made].copy(), links[:made].copy(), order, deepest
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")

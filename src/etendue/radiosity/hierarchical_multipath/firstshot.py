@@ -40,13 +40,21 @@ class _Lamps:
 
 
 class FirstShots:
-    """First shots in one scene. Raises :class:`RadiosityError` if nothing emits."""
+    """First shots in one scene. Raises :class:`RadiosityError` if nothing emits, and if too many boxes are inside each
+    other."""
 
     def __init__(self, tree: Tree, rays: Mapping[Part, PartRays]) -> None:
         self.tree = tree
         self._sides = [None if part.patches is None else _in_part(part) for part in tree.parts]
         self._lamps = self._find_lamps()
-        self._pack([rays[part] for part in tree.parts])
+        inner_first = [rays[part] for part in tree.parts]
+        places, most = _places(inner_first), compiled("hierarchical_multipath.rays").STACK
+        if places > most:
+            raise RadiosityError(
+                f"too many boxes of parts are inside each other: a ray needs {places} places on its stack, there are "
+                f"{most}; put inner parts into one"
+            )
+        self._pack(inner_first)
         self._size = rays[tree.root].size
         #: From the scene into the coordinates of each node, the linear part.
         self._linear = np.linalg.inv(tree.world[:, :3, :3])
@@ -165,6 +173,19 @@ class FirstShots:
             np.zeros(1, np.int64) if s is None else np.searchsorted(s.patch, np.arange(len(p) + 1))
             for s, p in zip(self._sides, tree.parts, strict=True)
         ]
+
+
+def _places(inner_first: list[PartRays]) -> int:
+    """Largest number of places that a ray through the last of some parts needs on its stack: at each depth of a tree
+    one for the other child, and for a leaf all of its copies, one of which is replaced by what is inside."""
+    needed: dict[int, int] = {}
+    for rays in inner_first:
+        copies = np.cumsum([0, *(rays.order >= len(rays.faces))])
+        first, count = rays.links[rays.links[:, 1] > 0, :2].T
+        in_leaf = int((copies[first + count] - copies[first]).max())
+        inside = max((needed[id(copy.part)] for copy in rays.part.copies), default=0)
+        needed[id(rays.part)] = rays.depth + max(in_leaf - 1 + inside, 1)
+    return needed[id(inner_first[-1].part)]
 
 
 def _in_part(part: Part) -> Sides:

@@ -59,7 +59,8 @@ class PartRays:
             placed = points @ matrix[:3, :3].T + matrix[:3, 3]
             low.append(placed.min(axis=0)[None])
             high.append(placed.max(axis=0)[None])
-        self.corners, self.links, self.order = _loops().build(np.concatenate(low), np.concatenate(high))
+        built = _loops().build(np.concatenate(low), np.concatenate(high))
+        self.corners, self.links, self.order, self.depth = built
 
 
 @dataclass(frozen=True)

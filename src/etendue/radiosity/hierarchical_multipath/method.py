@@ -118,7 +118,7 @@ class HierarchicalMultipath:
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")
 
     def __init__(self, settings: HierarchicalMultipathSettings | None = None, points: MakePoints = even_points) -> None:
-        self._options = settings or HierarchicalMultipathSettings()
+        self._options = self._given = settings or HierarchicalMultipathSettings()
         #: Including the number of lines of a pass once :meth:`prepare` has chosen it, since it determines the passes.
         self.settings: AnySettings = self._options
         self._points = points
@@ -137,9 +137,7 @@ class HierarchicalMultipath:
         sky = problem.root.patches is not None and bool(problem.root.patches.sky.any())
         if not (any(emits) or sky):
             raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
-        if self._options.lines == 0:
-            self._options = self._options.replace(lines=self._enough())
-            self.settings = self._options
+        self._options = self.settings = self._given.replace(lines=self._given.lines or self._enough())
         self.lines = self._shared_out()
         self._check_memory()
         self._rays = {part: PartRays(part) for part in self.tree.parts}

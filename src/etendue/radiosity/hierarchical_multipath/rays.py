@@ -16,7 +16,7 @@ from numba import njit
 from .casting import enter, meets, slab
 
 #: Places on the stack of a ray.
-_STACK = 2048
+STACK = 2048
 #: Number of successive patches that sample lamps by the same weights.
 _TOGETHER = 64
 #: Length that is skipped at both ends of a ray between two surfaces, relative to its length, and at the origin of other
@@ -78,7 +78,7 @@ def trace(world: Any, root: Any, o: Any, d: Any, least: Any, most: Any, is_any: 
 @njit(nogil=True, cache=True, error_model="numpy")
 def space(nodes: Any) -> Any:
     """Work arrays of :func:`trace` for a scene of ``nodes`` nodes; a ray enters each node at most once."""
-    return np.empty((nodes + 1, 2, 3)), np.empty(nodes + 1, np.int64), np.empty((_STACK, 2), np.int64)
+    return np.empty((nodes + 1, 2, 3)), np.empty(nodes + 1, np.int64), np.empty((STACK, 2), np.int64)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,7 @@ class ABuffer(LineEngine):
         backend: Backend = "auto",
     ) -> None:
         super().__init__(patches, SpiralPoints() if points is None else points)
-        self._spirals = points is None
+        self._default = self.points if points is None else None
         if backend not in get_args(Backend):
             raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
         self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
@@ -121,16 +121,15 @@ class ABuffer(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        self._take_spiral(count)
-        pieces = self._pieces(count, first, size)
+        points, pieces = self._points_of(count), self._pieces(count, first, size)
         if self.backend == "drjit":
-            return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)
+            return (self._rasteriser.segments(*self._grids(points, *piece)) for piece in pieces)
         rasterise = compiled("lines.scanlines").rasterise
         # Hits of a bundle vary with its direction.
         room = int(1.2 * self.expected(1).sum()) + 1024
 
         def task(start: int, number: int) -> Callable[[], Pairs]:
-            arrays = *self.arrays, *self._grids(start, number)
+            arrays = *self.arrays, *self._grids(points, start, number)
             return lambda: rasterise(*arrays, self._spacing, np.zeros(3), np.inf, len(self.patches), room, self.solid)
 
         return in_order(task(*piece) for piece in pieces)
@@ -144,19 +143,11 @@ class ABuffer(LineEngine):
         areas = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
         return bool((p[:, 0] * areas).sum() / 3 < -_VOLUME)
 
-    def shuffled(self, count: int, first: int = 0) -> Self:
-        """See :class:`LineEngine`."""
-        self._take_spiral(count)
-        engine = super().shuffled(count, first)
-        engine._spirals = False
-        return engine
+    def _points_of(self, count: int) -> PointSet:
+        return SpiralPoints(directions=count) if self.points is self._default else self.points
 
-    def _take_spiral(self, count: int) -> None:
-        if self._spirals:
-            self.points = SpiralPoints(directions=count)
-
-    def _grids(self, start: int, number: int) -> tuple[Array, Array]:
-        u = self.points.block(number, start)
+    def _grids(self, points: PointSet, start: int, number: int) -> tuple[Array, Array]:
+        u = points.block(number, start)
         return self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
 
     @cached_property

@@ -48,8 +48,12 @@ class LineEngine(ABC):
 
     def shuffled(self, count: int, first: int = 0) -> Self:
         """An engine with the same ``count`` points from ``first`` on, in a random order."""
+        return self.with_points(ShuffledPoints(self._points_of(count), count, first))
+
+    def with_points(self, points: PointSet) -> Self:
+        """The same engine with other points."""
         engine = copy(self)
-        engine.points = ShuffledPoints(self.points, count, first)
+        engine.points = points
         return engine
 
     @abstractmethod
@@ -86,6 +90,10 @@ class LineEngine(ABC):
         segments = Segments(self.patches, chunks, number, self.expected(count))
         warn_of_faults(segments)
         return segments
+
+    def _points_of(self, count: int) -> PointSet:
+        """The points of a call for ``count`` of them."""
+        return self.points
 
     def _pieces(self, count: int, first: int, size: int | None = None) -> Iterator[tuple[int, int]]:
         """First point and number of points of each piece."""

@@ -49,13 +49,6 @@ class MixedSegments(Segments):
         self.to_sky = lines.to_sky + self._column(n)
         self.to_dark = lines.to_dark + self._column(n + 1)
 
-    def __add__(self, other: Segments) -> Segments:
-        """Not supported, raises :class:`RadiosityError`: add the segments of lines first, then call
-        :func:`with_local_rays`."""
-        raise RadiosityError(
-            "segments with local rays cannot be added: add segments of lines, then call with_local_rays()"
-        )
-
     def batch(self, number: int) -> Segments:
         """One batch."""
         return MixedSegments(super().batch(number), [self.corrections[number]], self.extra, self.rays)

@@ -64,7 +64,12 @@ class Segments:
         return f"Segments({len(self)} of {len(self.patches)} patches, {self.batch_count} batches)"
 
     def __add__(self, other: Segments) -> Segments:
-        """The segments of both, with separate batches. Raises :class:`RadiosityError` if the patches differ."""
+        """The segments of both, with separate batches. Raises :class:`RadiosityError` if the patches differ, and for
+        segments with local rays: add those of lines first, then call :func:`with_local_rays`."""
+        if self.correction is not None or other.correction is not None:
+            raise RadiosityError(
+                "segments with local rays cannot be added: add segments of lines, then call with_local_rays()"
+            )
         if len(self.patches) != len(other.patches) or not np.array_equal(self.patches.areas, other.patches.areas):
             raise RadiosityError("segments of different patches cannot be added")
         batches = np.concatenate([self.batches, other.batches + self.batch_count])

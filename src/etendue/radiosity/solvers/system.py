@@ -139,6 +139,8 @@ def solve(
         raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if solver not in SOLVERS:
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
+    if max_iterations < 1:
+        raise RadiosityError(f"a solution needs at least one iteration, not {max_iterations}: set max_iterations")
     if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
     rest = patches if shot is None else after_shot(shot, patches)
@@ -256,8 +258,8 @@ class _ConjugateGradient(_Steps):
         weights = transport.exchange_weights
         if weights is None:
             raise RadiosityError(
-                "conjugate-gradient needs reciprocal form factors (estimator 'F1' or 'reciprocal', or repaired()), or "
-                "segments"
+                "conjugate-gradient needs reciprocal form factors (estimator 'F3', 'F4', 'reciprocal' or 'pooled', or "
+                "repaired()), or segments"
             )
         self.weights, self.root = weights[:, None], np.sqrt(self.reflectance)
         self.residual = self.root * self.irradiance  # divided by W, the preconditioner

@@ -100,6 +100,8 @@ class LightTable:
         lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
         if not lit.any():
             raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
+        #: (count,) emitted power of each emitter, on the host, and the sum.
+        self.powers = power
         self.total_power = float(power.sum()) or 1.0
         weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
         #: (count,) probability of picking each emitter, on the host.
@@ -128,7 +130,7 @@ class LightTable:
         self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
         #: (count,) whether a light is a sphere of uniform radiance, whose rays have uniform directions.
         self.is_round = np.array([r.sphere[3] > 0.0 and r.cells is None for r in rows])
-        self._middle = on_device(mi.Float, np.cumsum(pick) - 0.5 * pick)
+        self._middle = on_device(mi.Float, _middles(pick))
         # A hit has only a pointer to its emitter: registry numbers map it to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
         row_of = np.zeros(int(ids.max()) + 1, np.uint32)
@@ -152,9 +154,10 @@ class LightTable:
         Probabilities are rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
         table.is_learned = True
-        table.probabilities = _in_steps(direct)
-        table._pick, table._emitted = (
-            copied_to_device(mi.Float, _in_steps(p).astype(np.float32)) for p in (direct, emitted)
+        table.probabilities, own = _in_steps(direct), _in_steps(emitted)
+        table._pick, table._emitted, table._middle = (
+            copied_to_device(mi.Float, values.astype(np.float32))
+            for values in (table.probabilities, own, _middles(own))
         )
         table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
         return table
@@ -166,7 +169,7 @@ class LightTable:
         return dr.clip(self._cdf.sample_reuse(u)[1], 0.0, 1.0 - 2.0**-24)
 
     def number_of(self, row: mi.UInt32, active: mi.Bool | bool = True) -> mi.Float:
-        """A number with which :meth:`pick` picks the light ``row``; if that is never picked, that of another light."""
+        """A number with which :meth:`pick_emitting` picks the light ``row``; if that is never picked, another light."""
         return dr.gather(mi.Float, self._middle, row, active)
 
     def of(self, emitter: mi.EmitterPtr, active: mi.Bool | bool = True) -> Light:
@@ -205,6 +208,12 @@ def _in_steps(probability: Array) -> Array:
     steps += np.floor(probability / probability.sum() * (2.0**23 - steps.sum()))
     steps[np.argmax(steps)] += 2.0**23 - steps.sum()
     result: Array = steps / 2.0**23
+    return result
+
+
+def _middles(probability: Array) -> Array:
+    """For each light, the middle of the numbers that pick it."""
+    result: Array = np.cumsum(probability) - 0.5 * probability
     return result
 
 

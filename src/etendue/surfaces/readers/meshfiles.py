@@ -65,7 +65,7 @@ def read_patches(
     labels = _cell_array(path, cells, ids, whole=True)
     rho = (
         1 - _cell_array(path, cells, reflectance)
-        if reflectance == "emissivity"
+        if isinstance(reflectance, str) and reflectance == "emissivity"
         else _cell_array(path, cells, reflectance)
     )
     exitance, kelvin = _cell_array(path, cells, emission), _cell_array(path, cells, temperature)

@@ -36,7 +36,7 @@ def scene_patches(
     hemispherical albedo, with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a
     ``constant`` light is the sky.
 
-    max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`; no effect with
+    max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`; not for
         ``per="shape"``.
 
     The patches know their ``shapes``, for :func:`find_objects`.
@@ -49,6 +49,8 @@ def scene_patches(
     scene, space = loaded_scene(scene)
     if per not in ("face", "shape"):
         raise SurfaceError(f"a patch is made per 'face' or per 'shape', not {per!r}")
+    if per == "shape" and max_area is not None:
+        raise SurfaceError("each shape is one patch and is not divided: leave out max_area, or take per='face'")
     if not isinstance(segments, int) or segments < 3:
         raise SurfaceError(f"a circle needs three segments at least, not {segments!r}")
     patches, shape, sheets = patches_of(scene.shapes(), segments, space)
@@ -62,7 +64,7 @@ def scene_patches(
     else:
         patches.shapes = shape[patches.labels]
     patches.shape_names = tuple(graph.name(item) or f"shape {k}" for k, item in enumerate(scene.shapes()))
-    return patches if max_area is None or per == "shape" else patches.subdivided(max_area)
+    return patches if max_area is None else patches.subdivided(max_area)
 
 
 def patches_of(shapes: Sequence[Any], segments: int, space: RenderSpace) -> tuple[Patches, Index, NDArray[np.bool_]]:

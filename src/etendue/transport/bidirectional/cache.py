@@ -13,10 +13,10 @@ from .. import dimensions as dim
 from ..guiding.connections import ConnectionGuide
 from .vertices import LightVertex, LightVertices
 
-#: Lanes that share a random number for picking light vertices.
+#: Lanes that share a random number for picking light vertices, a power of two.
 PICK_BLOCK = 16
 #: Shift of a lane's bit-reversed number that leaves the bit-reversed number in the block.
-_STRATUM_SHIFT = 32 - 4
+_STRATUM_SHIFT = 33 - PICK_BLOCK.bit_length()
 
 
 @dataclass

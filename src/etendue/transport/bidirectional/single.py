@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import SampleSource
+from etendue.core import OptionError, SampleSource
 from etendue.film import Component
 from etendue.scene import LightTable
 
@@ -223,6 +223,10 @@ class SingleTechnique:
     max_edges: mi.UInt32  #: opaque; null surfaces that a path crosses count
     components: bool = False  #: whether to tell the component of a contribution
 
+    def __post_init__(self) -> None:
+        if self.mis.techniques.leaves_direct:
+            raise OptionError("a single technique cannot leave direct light to next event; set direct=True")
+
     def trace(
         self, s: mi.UInt32, t: mi.UInt32, place: mi.Point2f, camera: SampleSource, light: SampleSource
     ) -> SingleContribution:
@@ -302,10 +306,9 @@ class SingleTechnique:
 
         # ---- t = 1: splat
         weight = self.mis.splat_weight(*on_light, lit_cos, g.reverse_pdf, sensor.area_pdf(light_cos))[0]
-        on_film = (sensor.position.x >= 0.0) & (sensor.position.x < float(self.camera.width))
-        on_film &= (sensor.position.y >= 0.0) & (sensor.position.y < float(self.camera.height))
+        on_film = sensor.active & self.camera.on_film(sensor.position)
         factor = sensor.importance * ratio / self.camera.pixels
-        by_splat = _masked(lit.throughput * g.value * factor, weight, sensor.active & on_film)
+        by_splat = _masked(lit.throughput * g.value * factor, weight, on_film)
 
         # ---- One shadow ray
         weighted, alone = (by_point[i] + by_join[i] + by_splat[i] for i in range(2))

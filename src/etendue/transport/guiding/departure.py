@@ -25,10 +25,7 @@ from numpy.typing import NDArray
 from etendue.core import Array, copied_to_device
 from etendue.density import Quadtrees, QuadtreeSampler
 
-from .guide import direction_of, square_of
-
-#: Solid-angle density of a direction over the density of its point in the square.
-_PER_STERADIAN = 0.25 / np.pi
+from .guide import PER_STERADIAN, direction_of, square_of
 
 
 class Departures:
@@ -73,7 +70,7 @@ class Departure:
         """(density of a world ``direction`` if the share were 1, its leaf). ``own``: density of the direction by the
         light's kind."""
         density, place = self.departures.sampler.find(self.row, square_of(direction), mask)
-        return density * dr.select(self.is_round, own, _PER_STERADIAN), place
+        return density * dr.select(self.is_round, own, PER_STERADIAN), place
 
     def mixed(self, direction: mi.Vector3f, own: mi.Float, mask: mi.Bool) -> mi.Float:
         """Density of the mixture in a world ``direction``; ``own`` where the mask does not hold."""

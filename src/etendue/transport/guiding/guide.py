@@ -31,7 +31,7 @@ from ..scattering import Evaluated, Proposal, Scattered, geometric_cos, is_smoot
 from .lights import MOST_LIGHTS, LightChoice, LocalLights
 
 #: Solid-angle density of a direction over the density of its point in the square.
-_PER_STERADIAN = 0.25 / np.pi
+PER_STERADIAN = 0.25 / np.pi
 #: The largest number below one.
 _BELOW_ONE = 1.0 - 2.0**-24
 #: The ``place`` of a direction that is in no leaf.
@@ -122,7 +122,7 @@ class Guide:
         ways = [sine * np.cos(azimuth).ravel(), sine * np.sin(azimuth).ravel(), np.cos(polar).ravel()]
         direction = mi.Vector3f(*(copied_to_device(mi.Float, way.astype(np.float32)) for way in ways))
         density, _ = self._sampler.find(dr.full(mi.UInt32, cell, 2 * height * height), square_of(direction))
-        return np.array(density, dtype=np.float64).reshape(height, 2 * height) * _PER_STERADIAN
+        return np.array(density, dtype=np.float64).reshape(height, 2 * height) * PER_STERADIAN
 
     # ------------------------------------------------------------------ on the device
 
@@ -246,4 +246,4 @@ class Guide:
 
 def _mixed(share: mi.Float, square_density: mi.Float, pdf: mi.Float) -> mi.Float:
     """Solid-angle density of the mixture, in which the guide has the probability ``share``."""
-    return share * (square_density * _PER_STERADIAN) + (1.0 - share) * pdf
+    return share * (square_density * PER_STERADIAN) + (1.0 - share) * pdf

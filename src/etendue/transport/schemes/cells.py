@@ -163,9 +163,8 @@ class ImportancePilot(Walker):
         vertex: WalkVertex = self.arrive(s)
         s.active &= vertex.valid
         joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), s.active & vertex.smooth)
-        x, y = joined.position
-        on_film = (x >= 0.0) & (x < self.camera.width) & (y >= 0.0) & (y < self.camera.height)
-        visible, _ = self.visible(vertex, joined.target, s.depth + 1, joined.active & on_film)
+        on_film = joined.active & self.camera.on_film(joined.position)
+        visible, _ = self.visible(vertex, joined.target, s.depth + 1, on_film)
         s.arrived += dr.select(visible, mi.luminance(s.throughput), 0.0)
         s.active &= s.depth < self.max_edges
         scattered, _ = vertex.sample(source, s.active, proposal=scatter_light)

@@ -74,7 +74,7 @@ class UniformLights:
         light, pick = self.pick(lights, source, active)
         point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
         direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
-        return emit_from(lights, pick, point, direction, dr.rcp(lights.count * light.pick), active)
+        return emit_from(lights, pick, point, direction, dr.rcp(lights.count * light.emitted), active)
 
     @staticmethod
     def pick(lights: LightTable, source: SampleSource, active: mi.Bool) -> tuple[Light, mi.Float]:
@@ -104,4 +104,4 @@ class BlindEmission:
         density = dr.select(light.is_area, 0.5 * dr.inv_pi / light.direction_pdf(cos), 1.0)
         direction = dr.select(light.is_area, square, u)
         point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
-        return emit_from(lights, pick, point, direction, density / (lights.count * light.pick), active)
+        return emit_from(lights, pick, point, direction, density / (lights.count * light.emitted), active)

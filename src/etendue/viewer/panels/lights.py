@@ -56,8 +56,8 @@ class Lights(Panel):
         edits = self.session.asked.lights
         if verb == "add":
             # A unique name, kept when other lights are removed, so that changes of parameters find the light.
-            number = 1 + max((int(one["id"].rpartition("-")[2]) for one in edits.added), default=0)
-            light = {"id": f"added-light-{number}", **self._light(message)}
+            fresh = 1 + max((int(one["id"].rpartition("-")[2]) for one in edits.added), default=0)
+            light = {"id": f"added-light-{fresh}", **self._light(message)}
             edits = replace(edits, added=(*edits.added, light))
         elif verb == "remove":
             index = self._index(message, len(edits.added))

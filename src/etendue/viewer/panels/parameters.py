@@ -46,12 +46,11 @@ class Parameters(Panel):
 
     def scene_loaded(self) -> None:
         """Take the parameters of the new scene, and make the late changes."""
-        self._changes, self._own = self._next
-        self._next = {}, {}
         problem, asked = self.session.problem, self.session.asked
-        self._editor = None
+        self._editor, self._changes, self._own = None, {}, {}
         if problem is None or not is_described(asked.scene):
             return
+        self._changes, self._own = self._next  # of this scene, since `loading` was called for it
         self._editor = editor = SceneEditor(problem.scene, fixed=not problem.space.is_own)
         for key in self._late:
             try:
@@ -79,23 +78,18 @@ class Parameters(Panel):
 
     def _set(self, values: Mapping[str, Any], back: bool = False) -> None:
         assert self._editor is not None
-        editor, textures, before = self._editor, False, dict(self._changes)
+        editor, before = self._editor, (dict(self._changes), dict(self._own))
         parameters = {key: editor.get(key) for key in values}
-        in_place = {}
-        for key, value in values.items():
-            if parameters[key].kind == "texture":
-                textures = True
-                if not back:
-                    value = editor.check(key, value)
-            else:
-                in_place[key] = value
-        editor.set(in_place)
-        for key in values:
+        textures = {key for key, parameter in parameters.items() if parameter.kind == "texture"}
+        good = {key: value if back and key in textures else editor.check(key, value) for key, value in values.items()}
+        if not textures:  # otherwise the scene is loaded again with all changes, or remains as it is
+            editor.set(good)
+        for key, value in good.items():
             self._own.setdefault(key, parameters[key].value)
             if back:
                 self._changes.pop(key, None)
             else:
-                self._changes[key] = editor.get(key).value if key in in_place else editor.check(key, values[key])
+                self._changes[key] = value if textures else editor.get(key).value
         # The presets of metals hold both constants of the material: a file with one of them needs the other.
         for key in [] if back else list(values):
             for one, other in ((".eta.value", ".k.value"), (".k.value", ".eta.value")):
@@ -105,7 +99,7 @@ class Parameters(Panel):
             try:
                 self.session.open(self.session.asked, keep_pose=True)
             except Exception:
-                self._changes = before
+                self._changes, self._own = before
                 raise
         else:
             self.session.scene_edited()
