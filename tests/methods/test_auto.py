@@ -11,6 +11,7 @@ from support.running import go, prepared, replicas, run
 from support.statistics import assert_agree
 from support.tables import thinned
 
+from etendue import scene
 from etendue.core import RELATIVE_EPSILON, CheckpointError
 from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
 from etendue.methods.auto import method as auto
@@ -148,9 +149,9 @@ def many_lamps():
 
 
 def test_path_tracing_has_the_roulette_that_its_moments_are_of():
-    """In a white room, paths of six edges or more are common without roulette from the second edge on."""
-    white = scenes.room("rectangle", scenes.FEW)
-    learning, fixed = (prepared(white, "auto", samples_per_pass=4, choice=choice) for choice in ("learn", "path"))
+    """In a closed room, paths of six edges or more are common without roulette from the second edge on."""
+    room = scene.load("ajar", size=(24, 16))
+    learning, fixed = (prepared(room, "auto", samples_per_pass=4, choice=choice) for choice in ("learn", "path"))
     go(learning, 1)
     rays = [one.method._path(5, 1, 4)[1]["rays"] for one in (learning, fixed)]
     assert rays[0] < 0.9 * rays[1]

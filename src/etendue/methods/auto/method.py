@@ -284,9 +284,10 @@ class Auto(Carrying, ImageMethod):
             return
         work = self._work()
         products = {c: float(e) * work.cost(c) for c, e in zip(CANDIDATES, self._learned.errors(), strict=True)}
+        usual = work.cost(FIXED["vcm"]) or 1.0  # 0 in a black scene
         for candidate in products:
             if candidate.merging:
-                products[candidate] *= (work.cost(candidate) / work.cost(FIXED["vcm"])) ** _BLUR
+                products[candidate] *= (work.cost(candidate) / usual) ** _BLUR
         if self._caustics:
             for candidate in products:
                 kind = "path" if candidate.light_paths == 0.0 else "bpt"
