@@ -326,7 +326,7 @@ def choices(names: Names = SCENES, pixels: Pixels = 16384, passes: Annotated[int
     its counts and those of ``path`` and ``bpt``, over that of ``vcm``; passes of all four in turn."""
     record = Record(
         f"Choice after the first passes, about {pixels} pixels",
-        ("", "chosen", "path", "bpt", "chosen / vcm", "foreseen", "seconds of a pass, learning", "vcm"),
+        ("", "chosen", "path", "bpt", "chosen", "seconds of a pass, learning", "vcm"),
     )
     known = sources()
     for name in names:
@@ -355,15 +355,18 @@ def choices(names: Names = SCENES, pixels: Pixels = 16384, passes: Annotated[int
             scatter = np.sort((np.var(each, axis=0, ddof=1) / (np.square(level) + RELATIVE_EPSILON)).ravel())
             kept = scatter[: int((1.0 - _TRIM) * scatter.size)]
             product[one] = float(kept.mean()) * statistics.median(times[one])
-        foreseen = method.foreseen(chosen) / method.foreseen(FIXED["vcm"])
-        ratios = [f"{product[one] / product[FIXED['vcm']]:.2f}" for one in (FIXED["path"], FIXED["bpt"], chosen)]
-        spent = f"{seconds[-1]:.2f}", f"{statistics.median(times[FIXED['vcm']]):.2f}"
-        record.add(name, describe(chosen), *ratios, f"{foreseen:.2f}", *spent)
+        vcm = FIXED["vcm"]
+        ratios = [
+            f"{product[one] / product[vcm]:.2f} ({method.foreseen(one) / method.foreseen(vcm):.2f})"
+            for one in (FIXED["path"], FIXED["bpt"], chosen)
+        ]
+        spent = f"{seconds[-1]:.2f}", f"{statistics.median(times[vcm]):.2f}"
+        record.add(name, describe(chosen), *ratios, *spent)
         console.print(name, describe(chosen), *ratios, style="dim")
         gc.collect()
     record.notes.append(
         f"products of variance between {passes} passes, relative to the picture, without the worst 0.1 % of pixels, "
-        "and CPU seconds of a pass, over that of vcm; foreseen: by the moments and the model of costs. The variance of "
+        "and CPU seconds of a pass, over that of vcm; in brackets: foreseen by moments and costs. The variance of "
         "so few passes does not show light that a method rarely finds"
     )
     return record
