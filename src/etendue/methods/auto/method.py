@@ -66,9 +66,6 @@ _SHARE = 0.06
 _WORTH_IT = 0.93
 #: Ratio of products of error and cost up to which two candidates count as equal: few passes estimate them.
 _ALIKE = 1.05
-#: The merge radius shrinks from pass to pass, so that of two candidates that merge, the one with cheaper passes blurs
-#: less after the same time: products are multiplied by this power of the cost relative to that of ``vcm``.
-_BLUR = 0.15
 #: If caustics are expected, products of candidates without light paths, and without merging, are multiplied by 1 plus
 #: this number over the number of passes that have learned: these may all have missed a small caustic.
 _DOUBT = {"path": 1.0, "bpt": 0.4}
@@ -284,10 +281,6 @@ class Auto(Carrying, ImageMethod):
             return
         work = self._work()
         products = {c: float(e) * work.cost(c) for c, e in zip(CANDIDATES, self._learned.errors(), strict=True)}
-        usual = work.cost(FIXED["vcm"]) or 1.0  # 0 in a black scene
-        for candidate in products:
-            if candidate.merging:
-                products[candidate] *= (work.cost(candidate) / usual) ** _BLUR
         if self._caustics:
             for candidate in products:
                 kind = "path" if candidate.light_paths == 0.0 else "bpt"
