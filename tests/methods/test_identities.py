@@ -296,9 +296,10 @@ def test_another_seed_compiles_nothing(method):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.mark.parametrize("method", ["vcm", "auto"])
-def test_pilot_and_pass_share_the_large_kernels(method):
-    """Whatever their numbers of paths: of a run of ``auto``, compilation took more time than all the rest."""
+@pytest.mark.parametrize(("method", "sizes"), [("vcm", 3), ("auto", 2)])
+def test_pilot_and_pass_share_the_large_kernels(method, sizes):
+    """Whatever their numbers of paths: of a run of ``auto``, compilation took more time than all the rest. The pilot
+    has as many light as camera paths, as have the passes of ``auto`` that learn."""
     scene = problem()
     for _ in range(2):  # see above
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -307,7 +308,7 @@ def test_pilot_and_pass_share_the_large_kernels(method):
             kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
         gc.collect()
     large = [kernel for kernel in kernels if kernel["operation_count"] > 1000]
-    assert len({kernel["size"] for kernel in large}) == 3  # as many light as camera paths in the pilot
+    assert len({kernel["size"] for kernel in large}) == sizes
     assert len({kernel["hash"] for kernel in large}) == 2
 
 
