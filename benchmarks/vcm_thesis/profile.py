@@ -118,7 +118,7 @@ def _camera_walk(estimator: Any) -> tuple[float, float, float]:
     import drjit as dr
     import numpy as np
 
-    from etendue.transport import CameraPath, Walker, ones
+    from etendue.transport import CameraPath, CameraWalk, Walker, ones
 
     # Dr.Jit looks for the types of its members among the names of this module.
     @dataclass(kw_only=True)
@@ -129,7 +129,7 @@ def _camera_walk(estimator: Any) -> tuple[float, float, float]:
     lanes = dr.arange(mi.UInt32, estimator.camera.pixels)
     source = estimator.camera_numbers(lanes, 1, 0, 0)
     ray, _, _ = estimator.camera.primary(lanes, source)
-    walker = estimator.walker(Walker)
+    walker = estimator.walker(Walker, survival=CameraWalk.survival)  # the roulette of the pass
 
     def edge(s: Counted) -> Counted:
         vertex = walker.arrive(s)
