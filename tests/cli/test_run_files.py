@@ -159,8 +159,18 @@ def test_a_run_that_ends_before_an_autosave_says_so(folder):
     assert "a-500s.exr" not in os.listdir(folder)
 
 
+def prepare_autosaves(monkeypatch, write, times):
+    """Describe a run of nine passes of 0.11 s with autosaves at ``times``, whose outputs ``write`` writes."""
+    clock = passes.simulate_clock(monkeypatch)
+    monkeypatch.setattr(Outputs, "write", write)
+    passes.watch(monkeypatch, "path", lambda method, iteration: clock.pass_time(0.11))
+    Path("a.toml").write_text(
+        BOX + f"settings = {{samples_per_pass = 1}}\n[budget]\nsamples = 9\n[autosave]\ntimes = [{times}]\n"
+    )
+
+
 def test_an_autosave_that_failed_is_made_with_the_next_one(folder, monkeypatch):
-    clock, write, failed = passes.simulate_clock(monkeypatch), Outputs.write, []
+    write, failed = Outputs.write, []
 
     def fail_once(outputs, job, run):
         if not failed:
@@ -168,11 +178,7 @@ def test_an_autosave_that_failed_is_made_with_the_next_one(folder, monkeypatch):
             raise OutputError("the disk is full")
         return write(outputs, job, run)
 
-    monkeypatch.setattr(Outputs, "write", fail_once)
-    passes.watch(monkeypatch, "path", lambda method, iteration: clock.pass_time(0.11))
-    Path("a.toml").write_text(
-        BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 9\n[autosave]\ntimes = [0.2, 0.5, 50]\n"
-    )
+    prepare_autosaves(monkeypatch, fail_once, "0.2, 0.5, 50")
     assert main(["run", "a.toml"]) == 0
     assert len(failed) == 1 and {"a-0.2s.exr", "a-0.5s.exr", "a.exr"} <= set(os.listdir(folder))
     assert [row["autosave"] for row in table("a.csv")] == ["0.2", "0.5", ""]
@@ -180,18 +186,14 @@ def test_an_autosave_that_failed_is_made_with_the_next_one(folder, monkeypatch):
 
 
 def test_an_autosave_that_fails_at_the_end_costs_no_picture(folder, capsys, monkeypatch):
-    clock, write = passes.simulate_clock(monkeypatch), Outputs.write
+    write = Outputs.write
 
     def fail(outputs, job, run):
         if outputs.pictures[0].name != "a.exr":
             raise OutputError("the disk is full")
         return write(outputs, job, run)
 
-    monkeypatch.setattr(Outputs, "write", fail)
-    passes.watch(monkeypatch, "path", lambda method, iteration: clock.pass_time(0.11))
-    Path("a.toml").write_text(
-        BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 9\n[autosave]\ntimes = [0.2]\n"
-    )
+    prepare_autosaves(monkeypatch, fail, "0.2")
     assert main(["run", "a.toml"]) == 5
     assert "the disk is full" in capsys.readouterr().err
     assert film.read_exr("a.exr").metadata["passes"] == 9
