@@ -341,6 +341,33 @@ def test_unknown_variable_is_an_option_error(tmp_path):
         load(xml(tmp_path, LIGHT + SENSOR), parameters={"sppp": 3})
 
 
+@pytest.mark.parametrize("built", [False, True], ids=["described", "built"])
+@pytest.mark.parametrize("kind", ["area", "focusarea"])
+def test_lamps_on_meshes_of_a_dictionary(kind, built, tmp_path):
+    """Equal lamps stay two, and their meshes are not merged: the emitters would change their order."""
+    mesh = mi.Mesh("corner", 3, 1)
+    params = mi.traverse(mesh)
+    params["vertex_positions"], params["faces"] = [0.0, 0, 0, 1, 0, 0, 0, 1, 0], [0, 1, 2]
+    params.update()
+    mesh.write_ply(str(tmp_path / "corner.ply"))
+
+    def shape(x, **extra):
+        moved = mi.ScalarTransform4d().translate([x, 0, 0])
+        return {"type": "ply", "filename": str(tmp_path / "corner.ply"), "to_world": moved} | extra
+
+    def lamp():
+        lamp = {"type": kind, "radiance": {"type": "rgb", "value": 1.0}}
+        return mi.load_dict(lamp) if built else lamp
+
+    lamps = {f"lamp {x}": shape(x, emitter=lamp()) for x in (1, 2)}
+    others = {f"wall {x}": shape(x, bsdf={"type": "diffuse"}) for x in (3, 4)}
+    problem = load({"type": "scene", "sensor": {"type": "perspective"}} | lamps | others)
+    assert len(problem.scene.emitters()) == 2
+    emitting = [s for s in problem.scene.shapes() if s.is_emitter()]
+    assert [s.bbox().min.x for s in emitting] == [1.0, 2.0]
+    assert len(problem.scene.shapes()) == 3  # the walls are one
+
+
 def test_a_scene_of_another_variant(variant):
     with mi.variant_context("scalar_rgb"):
         scene = mi.load_dict(

@@ -17,14 +17,10 @@ from etendue.film import replacing
 
 from .builtin.table import BundledScene
 from .meshes import MeshDescription
-from .parsing import Size, read_properties, resize
-from .plugins import object_type
+from .parsing import Size, give_types, read_properties, resize
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-#: Emitters that are plugins in Python: in a dictionary they have no type before they are built.
-_PYTHON_EMITTERS = ("focusarea",)
 
 #: A change of Mitsuba's parsed scene, before its objects are built.
 Change = Callable[["mi.parser.ParserState"], None]
@@ -79,6 +75,7 @@ def add_plugin(state: mi.parser.ParserState, key: str, plugin: Mapping[str, Any]
     try:
         own = mi.parser.parse_dict(config, {"type": "scene", key: dict(plugin)})
         mi.parser.transform_resolve(config, own)
+        give_types(own)
     except (RuntimeError, ValueError, TypeError) as error:
         raise SceneError(f"'{plugin.get('type')}' cannot be added: {error}") from error
     shift = len(state.nodes) - 1  # the root is left out
@@ -122,7 +119,6 @@ def scene_xml(
         resize(state, size)
     with _resolving(path):
         _name_absolutely(state)
-        _give_types(state)
         writing |= _without_bitmaps(state, folder)
         try:
             text = _with_names(str(mi.parser.write_string(state)), state)
@@ -200,22 +196,6 @@ def _in(folder: Path | None, name: str, what: str) -> Path:
     return folder.absolute() / re.sub(r"[^\w.-]", "_", name)
 
 
-def _give_types(state: mi.parser.ParserState) -> None:
-    """Give plugins in Python, whose types are not known before they are built, the types that XML needs."""
-    import mitsuba as mi
-
-    integrators = {
-        value.index()
-        for key, value in read_properties(state.root.props).items()
-        if key == "integrator" and isinstance(value, mi.Properties.ResolvedReference)
-    }
-    for index, node in enumerate(state.nodes):
-        if node.type == mi.ObjectType.Unknown:
-            known = object_type(node.props.plugin_name())
-            if known is not None or index in integrators:
-                node.type = mi.ObjectType.Integrator if known is None else known
-
-
 def _described(
     source: Any, parameters: Mapping[str, Any] | None, folder: Path | None
 ) -> tuple[str, Path | None, mi.parser.ParserState, _Writing]:
@@ -279,8 +259,7 @@ def _emitters(state: mi.parser.ParserState) -> Iterator[tuple[mi.parser.SceneNod
 def _is_emitter(node: mi.parser.SceneNode) -> bool:
     import mitsuba as mi
 
-    unknown = node.type == mi.ObjectType.Unknown and node.props.plugin_name() in _PYTHON_EMITTERS
-    return unknown or node.type == mi.ObjectType.Emitter
+    return node.type == mi.ObjectType.Emitter
 
 
 def _shift(props: mi.Properties, by: int) -> None:

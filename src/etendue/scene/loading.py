@@ -24,6 +24,7 @@ from .parsing import (
     Size,
     built_integrator,
     check_films,
+    give_types,
     merge_meshes,
     resize,
     take_integrator,
@@ -164,6 +165,7 @@ def _parse(
             state = mi.parser.parse_file(config, str(source), **{str(k): str(v) for k, v in (parameters or {}).items()})
         mi.parser.transform_upgrade(config, state)
         mi.parser.transform_resolve(config, state)
+        give_types(state)
     if state.root.type != mi.ObjectType.Scene:
         raise SceneError(f"{name} describes a '{state.root.props.plugin_name()}', not a scene")
     return name, path, config, state

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import SceneError
 
 from .graph import plugin_name
+from .plugins import object_type
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -18,6 +19,20 @@ Size = tuple[int, int]
 #: Shapes that are meshes in files.
 MESH_PLUGINS = ("ply", "obj", "serialized")
 _CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+
+
+def give_types(state: mi.parser.ParserState) -> None:
+    """Give étendue's plugins in a parsed dictionary their types, which Mitsuba knows only once they are built."""
+    import mitsuba as mi
+
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Unknown and (known := object_type(node.props.plugin_name())) is not None:
+            node.type = known
+    value = read_properties(state.root.props).get("integrator")
+    if isinstance(value, mi.Properties.ResolvedReference):
+        node = state.nodes[value.index()]
+        if node.type == mi.ObjectType.Unknown:
+            node.type = mi.ObjectType.Integrator
 
 
 def take_integrator(state: mi.parser.ParserState) -> tuple[str, int, dict[str, Any]]:
@@ -32,8 +47,7 @@ def take_integrator(state: mi.parser.ParserState) -> tuple[str, int, dict[str, A
         if not isinstance(value, mi.Properties.ResolvedReference):
             continue
         node = state.nodes[value.index()]
-        unknown = node.type == mi.ObjectType.Unknown and key == "integrator"
-        if node.type != mi.ObjectType.Integrator and not unknown:
+        if node.type != mi.ObjectType.Integrator:
             continue
         del root.props[key]
         while inner := _children(node, mi.ObjectType.Integrator, state):
@@ -121,9 +135,7 @@ def merge_meshes(state: mi.parser.ParserState) -> None:
     root = state.root.props
     keys = []
     for key, node in _children(state.root, mi.ObjectType.Shape, state):
-        own = read_properties(node.props).values()
-        types = [state.nodes[v.index()].type for v in own if isinstance(v, mi.Properties.ResolvedReference)]
-        if node.props.plugin_name() in MESH_PLUGINS and not {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & set(types):
+        if node.props.plugin_name() in MESH_PLUGINS and not _has_endpoint(node, state):
             keys.append(key)
     if len(keys) < 2:
         return
@@ -156,11 +168,22 @@ def keep_shapes(state: mi.parser.ParserState, wanted: Collection[str]) -> None:
     import mitsuba as mi
 
     for key, node in _children(state.root, mi.ObjectType.Shape, state):
-        own = read_properties(node.props).values()
-        types = {state.nodes[v.index()].type for v in own if isinstance(v, mi.Properties.ResolvedReference)}
-        needed = {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & types or node.props.plugin_name() == "shapegroup"
+        needed = _has_endpoint(node, state) or node.props.plugin_name() == "shapegroup"
         if not needed and node.props.id() not in wanted:
             del state.root.props[key]
+
+
+def _has_endpoint(shape: mi.parser.SceneNode, state: mi.parser.ParserState) -> bool:
+    """Whether a shape has an emitter or a sensor, described or built."""
+    import mitsuba as mi
+
+    described = (mi.ObjectType.Emitter, mi.ObjectType.Sensor)
+    return any(
+        state.nodes[value.index()].type in described
+        if isinstance(value, mi.Properties.ResolvedReference)
+        else isinstance(value, mi.Endpoint)
+        for value in read_properties(shape.props).values()
+    )
 
 
 def read_properties(props: mi.Properties) -> dict[str, Any]:
@@ -192,9 +215,7 @@ def is_sensor(node: mi.parser.SceneNode) -> bool:
     """Whether a node of a parsed scene is a sensor."""
     import mitsuba as mi
 
-    # A Python plugin in a dictionary has no type before it is built.
-    unknown = node.type == mi.ObjectType.Unknown and node.props.plugin_name() == "spherical"
-    return unknown or node.type == mi.ObjectType.Sensor
+    return node.type == mi.ObjectType.Sensor
 
 
 def _has_film(sensor: mi.parser.SceneNode, state: mi.parser.ParserState) -> bool:
