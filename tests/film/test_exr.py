@@ -59,9 +59,25 @@ def test_a_file_for_each_layer_shows_it_as_its_picture(tmp_path):
         assert back.metadata == {**result.metadata, "layer": name}
 
 
-def test_other_programs_see_the_picture_and_the_layers(tmp_path):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("llvm_ad_rgb")
+@pytest.mark.parametrize(("beside", "layers"), [("AZ", ["image", "Z"]), ("Z", ["image", "Z"]), ("A", ["image"])])
+def test_pictures_of_other_programs(tmp_path, beside, layers):
+    """Depth beside the colours, without a layer's name: usual for Blender and Arnold."""
+    import OpenEXR
+
+    rng = np.random.default_rng(3)
+    channels = {name: rng.random((5, 7), np.float32) for name in "BGR" + beside}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, dict(channels)).write(str(tmp_path / "other.exr"))
+    found = read_exr(tmp_path / "other.exr").layers
+    assert list(found) == layers
+    for layer, names in zip(layers, ["RGB" + "A" * ("A" in beside), "Z"], strict=False):
+        np.testing.assert_array_equal(found[layer], np.stack([channels[name] for name in names], axis=-1))
+    np.testing.assert_array_equal(read_image(tmp_path / "other.exr"), np.stack([channels[n] for n in "RGB"], axis=-1))
+
+
+def test_other_programs_see_the_picture_and_the_layers(variant, tmp_path):
+    import mitsuba as mi
+
     result = make_result()
     write_exr(tmp_path / "out.exr", result)
     parts = dict(mi.Bitmap(str(tmp_path / "out.exr")).split())

@@ -11,9 +11,9 @@ SIZES = [(8, 5), (3, 9), (1, 2)]
 
 
 @pytest.fixture(scope="module")
-def mi():
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
+def mi(variant):
+    import mitsuba
+
     return mitsuba
 
 

@@ -66,6 +66,21 @@ def test_a_file_with_what_it_names_beside_above_and_elsewhere(tmp_path):
     assert len(sent.files) == 5
 
 
+def test_a_file_with_folders_to_search(tmp_path):
+    here, there = tmp_path / "here", tmp_path / "there"
+    picture(here / "textures" / "a.exr", 0.2)
+    main = here / "room.xml"
+    main.write_text(
+        '<scene version="3.0.0"><path value="textures"/><sensor type="perspective"/><shape type="sphere">'
+        '<bsdf type="diffuse"><texture name="reflectance" type="bitmap"><string name="filename" value="a.exr"/>'
+        '</texture></bsdf><emitter type="area"/></shape></scene>'
+    )
+    expected = load(main).fingerprint
+    there.mkdir()
+    copy, _ = moved(main, there, gone=(here,))
+    assert copy.fingerprint == expected
+
+
 def test_a_dictionary_with_arrays_transforms_and_files(tmp_path):
     image = picture(tmp_path / "texture.exr", 0.3)
     scene = mi.cornell_box()

@@ -252,6 +252,18 @@ def test_a_camera_is_put_where_it_is_asked_to_be():
     np.testing.assert_allclose(place, [2.0, -1.0, 0.602], atol=1e-9)
 
 
+def test_a_camera_far_from_the_origin():
+    """Single precision holds quarters there: the place, and the direction to a near target, are held in double."""
+    x = 4e6
+    origin, target = (x * FAR + offset for offset in ([0.3, 0.1, 0.8], [0.1, 0.2, 0.1]))
+    problem = load(room(1.0, x), camera=Camera(origin.tolist(), target.tolist()))
+    world = problem.sensor.world_transform()
+    place = problem.space.to_scene(np.array(world.translation()).ravel())
+    np.testing.assert_allclose(place, origin, rtol=0, atol=1e-5)
+    ahead = np.array(world @ mi.Vector3f(0, 0, 1)).ravel()
+    np.testing.assert_allclose(ahead / np.linalg.norm(ahead), np.array([-0.2, 0.1, -0.7]) / np.sqrt(0.54), atol=1e-5)
+
+
 @pytest.fixture(autouse=True)
 def _said_anew():
     """What is said once is said in each test."""

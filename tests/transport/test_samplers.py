@@ -28,6 +28,7 @@ from etendue.transport import (
     sample_direct,
     scatter_camera,
     scatter_light,
+    scatter_light_uniform,
     scatter_uniform,
 )
 
@@ -432,7 +433,10 @@ def test_the_mean_weight_of_scattering_is_the_integral(material, end):
         [(m, False) for m in list(scenes.MATERIALS)[::3]],
     ),
 )
-def test_uniform_directions_carry_what_those_of_the_material_do(material, inside, monkeypatch):
+@pytest.mark.parametrize(
+    "pair", [(scatter_camera, scatter_uniform), (scatter_light, scatter_light_uniform)], ids=["camera", "light"]
+)
+def test_uniform_directions_carry_what_those_of_the_material_do(pair, material, inside, monkeypatch):
     """To either side of the surface. The frosted glass of `skylight` has a value in one direction of thousands."""
     frosted = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.08}
     monkeypatch.setitem(scenes.MATERIALS, "frosted", lambda: frosted)
@@ -442,7 +446,7 @@ def test_uniform_directions_carry_what_those_of_the_material_do(material, inside
     means = []
     for repeat in range(60 if material == "frosted" else 12):
         weights = []
-        for role, scatter in (("material", scatter_camera), ("uniform", scatter_uniform)):
+        for role, scatter in zip(("material", "uniform"), pair, strict=True):
             numbers = IndependentSource(dr.arange(mi.UInt32, dr.width(si)), 5, role, repeat)
             scattered, _ = scatter(bsdf, si, numbers, mi.UInt32(1), active)
             back = dr.dot(scattered.direction, si.n) * dr.dot(si.wi, si.to_local(si.n)) > 0.0

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from etendue.core import IndependentSource
-from etendue.transport.scattering import evaluate_camera_end, evaluate_light_end, scatter_camera, scatter_light
+from etendue.transport.scattering import (
+    evaluate_camera_end,
+    evaluate_light_end,
+    scatter_camera,
+    scatter_light,
+    scatter_light_uniform,
+    scatter_uniform,
+)
 
 MATERIALS = {
     "diffuse": {"type": "diffuse"},
@@ -99,7 +106,10 @@ def test_fresnel_in_real_and_complex_arithmetic_and_on_the_device(index):
         np.testing.assert_allclose(np.abs(inside[found < 1.0]), np.sqrt(1 - (sine / index) ** 2), atol=1e-4)
 
 
-@pytest.mark.parametrize(("scatter", "power"), [(scatter_camera, 2), (scatter_light, 0)])
+@pytest.mark.parametrize(
+    ("scatter", "power"),
+    [(scatter_camera, 2), (scatter_light, 0), (scatter_uniform, 2), (scatter_light_uniform, 0)],
+)
 @pytest.mark.parametrize("index", [1.5, 1 / 1.5])
 def test_transmitted_radiance_is_scaled_by_the_index(index, power, scatter):
     """F_t = 1 - F_r. Towards a camera, radiance is divided by the square of the index of the camera's side relative to

@@ -19,7 +19,7 @@ from .surfaces import Array, host, uniform, uniform_sphere, vectors
 _PLACES, _DRAWS, _RAYS = 3, 16384, 65536
 _QUICK = 4
 #: Largest number of surfaces of the emitter along one ray.
-_MOST_HITS = 6
+_MOST_HITS = 64
 _SIGMAS, _SHARE = 5.0, 0.01
 
 

@@ -24,7 +24,8 @@ def check_function(
         unit = np.concatenate([rng.random((dimension, points)), corners], axis=1)
         backend = DeviceBackend(seed) if function.on == "device" else HostBackend(seed)
         x = backend.points(np.asarray(function.domain.from_unit(unit)))
-        values = np.broadcast_to(np.asarray(function.evaluate(x), np.float64), unit.shape[1])
+        parts = [np.asarray(part, np.float64) for part in function.parts(function.evaluate(x))]
+        values = np.concatenate([np.broadcast_to(part, unit.shape[1]) for part in parts])
         low, high = function.range
         finite = np.isfinite(values)
         slack = 1e-5 * max([abs(v) for v in (low, high) if np.isfinite(v)] + [1e-30])

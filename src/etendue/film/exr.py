@@ -27,6 +27,8 @@ _PREFIX = "etendue:"
 _VECTOR_LAYERS = frozenset({"normal", "position", "tangent"})
 _DEPTH_LAYERS = frozenset({"depth"})
 _CHANNEL_ORDERS = ("RGB", "RGBA", "XYZ", "Y", "Z", "YA")
+#: Channels that make up a picture also where others are beside them.
+_COLOURS = ("RGBA", "RGB")
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
 
@@ -83,7 +85,8 @@ def layer_path(path: str | os.PathLike[str], layer: str) -> Path:
 def read_exr(path: str | os.PathLike[str]) -> Result:
     """Read a file of :func:`write_exr`, or any scan-line OpenEXR file, as layers (height, width, channels), float32.
 
-    Channels without a layer name make up ``image``. Raises :class:`SceneError` if the file is missing or not
+    Channels without a layer name make up ``image``. Channels beside R, G, B and A in it, such as Z, are layers of their
+    own. Raises :class:`SceneError` if the file is missing or not
     OpenEXR.
     """
     import OpenEXR
@@ -105,8 +108,12 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
     layers = {}
     for layer in sorted(grouped, key=lambda name: (name != "image", name)):
         members = grouped[layer]
-        order = next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), None) or sorted(members)
+        order = next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), None)
+        order = order or next((o for o in _COLOURS if set(o) < members.keys()), None) or sorted(members)
         layers[layer] = np.stack([members[suffix] for suffix in order], axis=-1).astype(np.float32)
+        for suffix in sorted(members.keys() - set(order)):
+            own = suffix if layer == "image" else f"{layer}.{suffix}"
+            layers[own] = members[suffix][..., None].astype(np.float32)
     metadata = {key.removeprefix(_PREFIX): _decode(v) for key, v in header.items() if key.startswith(_PREFIX)}
     metadata |= {key: value for key, value in header.items() if key.startswith(ATTRIBUTES)}
     return Result(layers=layers, metadata=metadata)

@@ -316,9 +316,9 @@ class ImageMethod(ABC):
         return radiance, bad
 
     def _clamping(self, radiance: mi.Color3f) -> mi.Float:
-        """Factor on the radiance of camera paths."""
+        """Factor on the radiance of camera paths, which is negative where the filter is."""
         most = dr.opaque(mi.Float, self.settings.clamp)
-        return most / dr.maximum(dr.max(radiance), most)
+        return most / dr.maximum(dr.max(dr.abs(radiance)), most)
 
     def kept_together(self, parts: dict[str, mi.Color3f]) -> tuple[dict[str, mi.Color3f], mi.Bool]:
         """As :meth:`kept`, of the layers whose sum is the radiance: all have the same factor."""

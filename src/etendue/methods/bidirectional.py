@@ -324,11 +324,10 @@ class Bidirectional(Carrying, ImageMethod):
         walk = self.walker(CameraWalk, **common, choosing=trained)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
-        bad = {}
-        if s.components:
-            together, bad["components"] = self.kept_together({name: radiance[name] for name in COMPONENTS})
-            radiance |= together
-        for name in self._more_radii if s.components else tuple(radiance):
+        parts, bad = {name: value for name, value in radiance.items() if name not in self._more_radii}, {}
+        together, bad["parts"] = self.kept_together(parts)
+        radiance |= together
+        for name in self._more_radii:
             radiance[name], bad[name] = self.kept(radiance[name])
         if run.pyramid:
             dr.schedule(run.pyramid.array)

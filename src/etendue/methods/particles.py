@@ -43,7 +43,7 @@ from etendue.transport import (
     Visibility,
     emit,
     scatter_light,
-    scatter_uniform,
+    scatter_light_uniform,
 )
 
 from .base import MOST_LIGHT_LANES, PILOT_PATHS, total
@@ -157,7 +157,7 @@ class ParticleTracing:
             after=dr.opaque(mi.UInt32, settings.after),
             specular=settings.specular,
             scheme=self._emission(seed),
-            proposal=scatter_light if settings.bsdf_sampling else scatter_uniform,
+            proposal=scatter_light if settings.bsdf_sampling else scatter_light_uniform,
         )
 
     def _walk_of(self, **options: Any) -> ParticleWalk:

@@ -66,7 +66,7 @@ class Camera:
             if node.type != mi.ObjectType.Sensor or props.plugin_name() not in MOVABLE:
                 continue
             if self.origin is not None and self.target is not None:
-                place = mi.ScalarTransform4f().look_at(list(self.origin), list(self.target), list(self.up))
+                place = mi.ScalarTransform4d().look_at(list(self.origin), list(self.target), list(self.up))
                 props["to_world"] = place
             if self.fov is not None:
                 if "focal_length" in read_properties(props):

@@ -112,12 +112,12 @@ def scene_xml(
 
     from .loading import _resolving
 
-    name, path, state, writing = _described(source, parameters, folder)
+    name, folders, state, writing = _described(source, parameters, folder)
     if change is not None:
         change(state)
     if size is not None and any(node.type == mi.ObjectType.Film for node in state.nodes):
         resize(state, size)
-    with _resolving(path):
+    with _resolving(folders):
         _name_absolutely(state)
         writing |= _without_bitmaps(state, folder)
         try:
@@ -198,22 +198,22 @@ def _in(folder: Path | None, name: str, what: str) -> Path:
 
 def _described(
     source: Any, parameters: Mapping[str, Any] | None, folder: Path | None
-) -> tuple[str, Path | None, mi.parser.ParserState, _Writing]:
-    """(name, file, parsed description, functions that write its meshes to ``folder``) of a scene."""
+) -> tuple[str, mi.FileResolver, mi.parser.ParserState, _Writing]:
+    """(name, where its files are searched, parsed description, functions that write its meshes to ``folder``) of a scene."""
     from .loading import _parse
 
     found = _locate(source)
     writing: _Writing = {}
     if not isinstance(found, BundledScene):
-        name, path, _, state = _parse(found, parameters)
-        return name, path, state, writing
+        name, folders, _, state = _parse(found, parameters)
+        return name, folders, state, writing
     described = found.describe()
     for key, value in described.items():
         if isinstance(value, MeshDescription):
             file = _in(folder, f"{key}.ply", f"the mesh '{key}'")
             writing[file], described[key] = value.write, value.of_file(file)
-    _, path, _, state = _parse(described, parameters)
-    return found.name, path, state, writing
+    _, folders, _, state = _parse(described, parameters)
+    return found.name, folders, state, writing
 
 
 def _locate(source: Any) -> Any:

@@ -147,8 +147,8 @@ _NO_VARIABLES = "parameters replace $variables of an XML file; this scene is not
 
 def _parse(
     source: Described, parameters: Mapping[str, Any] | None
-) -> tuple[str, Path | None, mi.parser.ParserConfig, mi.parser.ParserState]:
-    """Name of a scene, its file, and Mitsuba's configuration and state once it is parsed."""
+) -> tuple[str, mi.FileResolver, mi.parser.ParserConfig, mi.parser.ParserState]:
+    """Name of a scene, where its files are searched, and Mitsuba's configuration and state once it is parsed."""
     import mitsuba as mi
 
     name = "<dict>" if isinstance(source, Mapping) else str(source)
@@ -157,7 +157,10 @@ def _parse(
         raise OptionError(_NO_VARIABLES)
     config = mi.parser.ParserConfig(mi.variant())
     config.parallel = False  # a node that fails while others load in parallel can crash the process (Mitsuba 3.9.1)
-    with _resolving(path), _mitsuba_errors(name):
+    folders = mi.FileResolver(mi.file_resolver())
+    if path is not None:
+        folders.prepend(str(path.parent))
+    with _resolving(folders), _mitsuba_errors(name):
         if not isinstance(source, Path):
             described = source.build() if isinstance(source, BundledScene) else dict(source)
             state = mi.parser.parse_dict(config, described)
@@ -166,15 +169,16 @@ def _parse(
         mi.parser.transform_upgrade(config, state)
         mi.parser.transform_resolve(config, state)
         give_types(state)
+        folders = mi.FileResolver(mi.file_resolver())  # with those of the file's <path> elements
     if state.root.type != mi.ObjectType.Scene:
         raise SceneError(f"{name} describes a '{state.root.props.plugin_name()}', not a scene")
-    return name, path, config, state
+    return name, folders, config, state
 
 
 def _from_parser(
     source: Described,
     name: str,
-    path: Path | None,
+    folders: mi.FileResolver,
     config: mi.parser.ParserConfig,
     state: mi.parser.ParserState,
     size: Size | None,
@@ -186,7 +190,7 @@ def _from_parser(
 ) -> Problem:
     import mitsuba as mi
 
-    with _resolving(path), _mitsuba_errors(name):
+    with _resolving(folders), _mitsuba_errors(name):
         if change is not None:
             change(state)
         integrator, depth, options = take_integrator(state)
@@ -211,13 +215,13 @@ def _from_parser(
             check_scene(scene, chosen)
         except SceneError:
             # Merged meshes have lost their names: check again without merging, so that the error names the element.
-            with _resolving(path), _mitsuba_errors(name):
+            with _resolving(folders), _mitsuba_errors(name):
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
     space = RenderSpace.of(scene, chosen)
     if not space.is_own:
-        with _resolving(path), _mitsuba_errors(name):
+        with _resolving(folders), _mitsuba_errors(name):
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
         chosen = _sensor(scene, sensor, name)
     if not integrator and scene.integrator() is not None:
@@ -227,15 +231,12 @@ def _from_parser(
 
 
 @contextmanager
-def _resolving(path: Path | None) -> Iterator[None]:
-    """Let Mitsuba search textures and meshes beside the scene file, inside the block."""
+def _resolving(folders: mi.FileResolver) -> Iterator[None]:
+    """Let Mitsuba search textures and meshes in ``folders``, inside the block."""
     import mitsuba as mi
 
     before = mi.file_resolver()
-    resolver = mi.FileResolver(before)
-    if path is not None:
-        resolver.prepend(str(path.parent))
-    mi.set_file_resolver(resolver)
+    mi.set_file_resolver(mi.FileResolver(folders))  # a copy, because <path> elements of a file change it
     try:
         yield
     finally:

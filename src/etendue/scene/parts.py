@@ -23,9 +23,9 @@ def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, 
     use_variant()
     import mitsuba as mi
 
-    name, path, config, state = _parsed(source, parameters)
+    name, folders, config, state = _parsed(source, parameters)
     keep_shapes(state, shapes)
-    with _resolving(path), _mitsuba_errors(name):
+    with _resolving(folders), _mitsuba_errors(name):
         integrator, depth, options = take_integrator(state)
         scene = mi.parser.instantiate(config, state)
     # In the coordinates of the whole scene, not in a render space of the part.

@@ -60,7 +60,7 @@ def restored(portable: PortableScene, folder: Path) -> tuple[Any, dict[str, str]
     moved = {name: str(folder / place) for name, place in described["moved"].items()}
     if "dictionary" in described:
         return _decoded(described["dictionary"], portable.arrays, moved), {}
-    if moved:
+    if "texts" in described:
         _rename(folder, described["texts"], moved)
     return folder / described["main"], {k: moved.get(v, v) for k, v in described["parameters"].items()}
 
@@ -72,12 +72,12 @@ def _of_file(path: Path, parameters: Mapping[str, Any]) -> PortableScene:
     import mitsuba as mi
 
     values = {str(k): str(v) for k, v in parameters.items()}
-    *_, state = _parse(path, values)
+    _, folders, _, state = _parse(path, values)
     texts = [file for file in (Path(str(name)).absolute() for name in state.files) if file.is_file()]
     texts += [path.absolute()] if path.absolute() not in texts else []
     names = set(_names_in(state)) | {name for text in texts for name in _names_in_text(text, values)}
     named: dict[str, Path] = {}
-    with _resolving(path):
+    with _resolving(folders):
         resolver = mi.file_resolver()
         for name in sorted(names):
             found = Path(str(resolver.resolve(name)))
@@ -125,10 +125,11 @@ def _names_in_text(text: Path, parameters: Mapping[str, str]) -> Iterator[str]:
 
 
 def _rename(folder: Path, texts: list[str], moved: Mapping[str, str]) -> None:
-    """Replace absolute names in the XML files by the names of the files in ``folder``."""
+    """Replace absolute names in the XML files by the names of the files in ``folder``, and remove folders to search,
+    whose files lie beside the scene."""
     for place in texts:
         path = folder / place
-        text = path.read_text("utf-8")
+        text = re.sub(r"<path\s[^>]*/>", "", path.read_text("utf-8"))
         for name, here in moved.items():
             for quote in "\"'":
                 text = text.replace(f"{quote}{escape(name)}{quote}", f"{quote}{escape(here)}{quote}")

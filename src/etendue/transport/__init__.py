@@ -49,6 +49,7 @@ from .scattering import (
     roulette,
     scatter_camera,
     scatter_light,
+    scatter_light_uniform,
     scatter_uniform,
     shadow_roulette,
 )
@@ -175,6 +176,7 @@ __all__ = [
     "sample_direct",
     "scatter_camera",
     "scatter_light",
+    "scatter_light_uniform",
     "scatter_uniform",
     "seen_shapes",
     "shadow_roulette",

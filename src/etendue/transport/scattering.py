@@ -159,12 +159,17 @@ def scatter_light(
 ) -> tuple[Scattered, list[Evaluated]]:
     """As :func:`scatter_camera` at a light vertex; weights are those of the adjoint BSDF."""
     scattered, evaluated = _scatter(_sample_light, _light_end, bsdf, si, source, vertex, active, directions)
+    _make_adjoint(scattered, si)
+    return scattered, evaluated
+
+
+def _make_adjoint(scattered: Scattered, si: mi.SurfaceInteraction3f) -> None:
+    """Bring the weight at a light vertex, which has the cosine of the light side, to the adjoint BSDF."""
     ratio = cosine_ratio(si, scattered.direction)
     # A delta lobe cannot be evaluated: its sampled weight is made adjoint by the cosines of both normals.
     wo = si.to_local(scattered.direction)
     shading = dr.select(scattered.is_delta, dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(wo)), 1.0)
     scattered.weight *= ratio * shading
-    return scattered, evaluated
 
 
 def scatter_uniform(
@@ -183,6 +188,22 @@ def scatter_uniform(
     probability 1/2 where the BSDF also has others.
     """
     return _scatter(_sample_uniform, _uniform_end, bsdf, si, source, vertex, active, directions)
+
+
+def scatter_light_uniform(
+    bsdf: mi.BSDFPtr,
+    si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    active: mi.Bool,
+    directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
+) -> tuple[Scattered, list[Evaluated]]:
+    """As :func:`scatter_uniform` at a light vertex; weights are those of the adjoint BSDF."""
+    sample = functools.partial(_sample_uniform, light=True)
+    evaluate = functools.partial(_uniform_end, light=True)
+    scattered, evaluated = _scatter(sample, evaluate, bsdf, si, source, vertex, active, directions)
+    _make_adjoint(scattered, si)
+    return scattered, evaluated
 
 
 def _scatter(
@@ -241,8 +262,9 @@ def _sample_light(
 
 
 def _sample_uniform(
-    bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u: tuple[mi.Float, mi.Point2f], active: mi.Bool
+    bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u: tuple[mi.Float, mi.Point2f], active: mi.Bool, light: bool = False
 ) -> _Sampled:
+    """``light``: at a light vertex."""
     lobe, u_direction = u
     share, pdf = _uniform_share(bsdf)
     smooth = active & (lobe < share)
@@ -250,14 +272,15 @@ def _sample_uniform(
     wo = si.to_local(world)
     if not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Transmission):
         wo = dr.select(mi.Frame3f.cos_theta(wo) * mi.Frame3f.cos_theta(si.wi) < 0.0, -wo, wo)
-    value, pdf, reverse_pdf = _uniform_end(bsdf, si, wo, smooth)
+    value, pdf, reverse_pdf = _uniform_end(bsdf, si, wo, smooth, light)
     weight = value / dr.maximum(pdf, 1e-12)
     eta, kind = mi.Float(1.0), mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
     if share == 1.0:
         return wo, weight, pdf, reverse_pdf, eta, kind
     # Samples of the BSDF contribute only where they come from a delta component.
     rest = (lobe - share) / (1.0 - share)
-    bs, delta_weight = bsdf.sample(mi.BSDFContext(), si, rest, u_direction, active & ~smooth)
+    context = mi.BSDFContext(mi.TransportMode.Importance if light else mi.TransportMode.Radiance)
+    bs, delta_weight = bsdf.sample(context, si, rest, u_direction, active & ~smooth)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     delta_weight = dr.select(is_delta, delta_weight / (1.0 - share), 0.0)
     return (
@@ -271,9 +294,13 @@ def _sample_uniform(
 
 
 def _uniform_end(
-    bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
+    bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool, light: bool = False
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
-    value = bsdf.eval(mi.BSDFContext(), si, wo, active)
+    """``light``: at a light vertex."""
+    if light:
+        value = bsdf.eval(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
+    else:
+        value = bsdf.eval(mi.BSDFContext(), si, wo, active)
     _, pdf = _uniform_share(bsdf)
     return _not_tangential(wo, value, mi.Float(pdf), mi.Float(pdf))
 

@@ -26,12 +26,14 @@ from etendue.core import (
     CheckpointError,
     Iterations,
     Measurement,
+    OptionError,
     Record,
     Result,
     SceneError,
     Settings,
     State,
     copied_to_device,
+    free_memory,
     logger,
     on_device,
     setting,
@@ -39,10 +41,10 @@ from etendue.core import (
 from etendue.integration import ChainDiagnosis, diagnose
 from etendue.particles import Particles, Rows, Surfaces, SurfaceTable, columns_of
 from etendue.scene import LightTable, Problem
-from etendue.transport import scatter_light, scatter_uniform
+from etendue.transport import scatter_light, scatter_light_uniform
 
 from .lightpaths import Independent, LightPaths, PathNumbers
-from .tails import TailChains, Walked, unpacked
+from .tails import SLOT_BYTES, TailChains, Walked, unpacked
 
 #: Names in a measurement: rows of particles, the number of steps by which their power is to be divided, the repeats of
 #: each, the states of some chains after every step, and the sums over independent paths.
@@ -124,12 +126,20 @@ class MetropolisParticles(Carrying):
     def prepare(self, problem: Problem, seed: int) -> None:
         """Trace independent paths, and start the chains at some of their ends, in proportion to the flux there.
 
-        Raises :class:`SceneError` if no light arrives anywhere.
+        Raises :class:`SceneError` if no light arrives anywhere, :class:`OptionError` if the states of a pass do not fit
+        into memory.
         """
         self._forget_states()
         o = self.settings
+        slots = o.chains * (o.steps + 1)
+        needed = SLOT_BYTES * slots
+        if 4 * slots >= 1 << 32 or needed > (problem.memory or free_memory() or math.inf):
+            raise OptionError(
+                f"a pass of {o.chains} chains with {o.steps} steps needs {needed / 1e6:.0f} MB, too much for the "
+                "memory or for 32-bit numbers; lower steps (more passes do the same) or chains"
+            )
         self.problem, self.scene = problem, problem.scene
-        proposal = scatter_light if o.bsdf_sampling else scatter_uniform
+        proposal = scatter_light if o.bsdf_sampling else scatter_light_uniform
         self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces, proposal)
         self._chains = TailChains(self._paths, o.step_size, o.anew)
         self._maker = _RowMaker(problem)

@@ -35,6 +35,8 @@ from .lightpaths import End, LightPaths, PathNumbers
 
 #: Components of the random numbers of a step: its kind, whether it draws anew, numbers of the edge, acceptance.
 _KIND, _ANEW, _NUMBERS, _ACCEPT = 0, 1, 2, 7
+#: Device memory of a chain and step in a pass: four rows of four numbers, and the repeats.
+SLOT_BYTES = 4 * (4 * 4 + 1)
 #: Largest number below 1.
 _BELOW_ONE = 1.0 - 2.0**-24
 
