@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import time
 from pathlib import Path
 
@@ -97,12 +98,13 @@ def test_samples_of_a_pass_add_up_to_the_budget():
     assert rendering.metadata["samples"] == 20
 
 
-def test_callback_sees_the_picture_and_may_stop():
+@pytest.mark.parametrize("kind", [bool, np.bool_])
+def test_callback_sees_the_picture_and_may_stop(kind):
     seen = []
 
     def callback(update):
         seen.append((update.progress.passes, float(update.image.mean())))
-        return update.progress.passes < 3
+        return kind(update.progress.passes < 3)
 
     rendering = api.render("cornell-box", "path", samples=100, callback=callback, **SMALL)
     assert [passes for passes, _ in seen] == [1, 2, 3]
@@ -127,6 +129,32 @@ def test_a_misspelt_argument_is_told_from_a_setting(call, given, text):
     with pytest.raises(OptionError) as error:
         call("cornell-box", **given)
     assert str(error.value) == text
+
+
+def test_a_callback_may_cancel_its_session():
+    sessions, refused = [], []
+
+    def callback(update):
+        sessions[0].cancel()
+        with pytest.raises(RuntimeError, match="a callback cannot wait for the end of its run"):
+            sessions[0].wait()
+        refused.append(update.progress.passes)
+
+    # The first pass waits until the session is known.
+    known = threading.Event()
+    session = api.start("cornell-box", "path", samples=100, callback=lambda u: known.wait() and callback(u), **SMALL)
+    sessions.append(session)
+    known.set()
+    assert session.wait(timeout=60)
+    assert refused == [1] and session.result.metadata["stopped_by"] == "cancel"
+
+
+def test_numbers_of_numpy_are_kept_in_checkpoints(tmp_path):
+    given = {"size": np.array([16, 12]), "seed": np.int64(3), "sensor": np.int64(0), "memory": np.int64(1 << 30)}
+    made = api.render("cornell-box", "path", samples=2, samples_per_pass=2, checkpoint=tmp_path / "a", **given)
+    assert made.image.shape == (12, 16, 3)
+    resumed = api.resume(tmp_path / "a", samples=4)
+    assert resumed.metadata["seed"] == 3 and resumed.metadata["samples"] == 4
 
 
 def test_another_name_gets_the_settings():

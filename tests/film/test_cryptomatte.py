@@ -112,6 +112,13 @@ def test_the_largest_of_more_shapes_than_are_kept():
     assert alone[0, 0] == large and alone[0, 1] == 1.0
 
 
+def test_a_loaded_scene_keeps_its_shapes():
+    loaded = load("cornell-box", size=SIZE, change=unmerged).scene
+    made = etendue.render(loaded, "path", samples=1, max_depth=2, cryptomatte=True)
+    (manifest,) = (json.loads(text) for key, text in made.metadata.items() if key.endswith("/manifest"))
+    assert "small-box" in manifest
+
+
 def test_a_picture_with_its_matte(tmp_path):
     made = etendue.render("cornell-box", "path", samples=1, size=SIZE, max_depth=2, cryptomatte=True, components=True)
     plain = etendue.render("cornell-box", "path", samples=1, size=SIZE, max_depth=2, components=True)

@@ -8,7 +8,7 @@ from support import scenes
 
 from etendue import scene, trace_particles
 from etendue.core import CheckpointError, OptionError
-from etendue.jobs.particles import state_file
+from etendue.jobs.particles import repack, state_file
 from etendue.particles import LAYOUT, ParticleFile
 
 CHAINS = {"chains": 256, "steps": 16, "bootstrap": 4096}
@@ -34,6 +34,17 @@ def test_a_file_goes_on_as_if_it_had_not_ended(tmp_path):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
+def test_a_compressed_copy_goes_on(tmp_path):
+    traced(tmp_path / "part.particles", 1)
+    repack(tmp_path / "part.particles", tmp_path / "copy.particles", "packed")
+    room = scenes.room("rectangle", ()).scene
+    trace_particles(room, resume=tmp_path / "copy.particles", paths=2 * STEPS)
+    traced(tmp_path / "whole.particles", 2)
+    copy, whole = (ParticleFile(tmp_path / f"{name}.particles").read() for name in ("copy", "whole"))
+    assert len(copy) == len(whole)
+    np.testing.assert_allclose(np.sort(copy.position[:, 0]), np.sort(whole.position[:, 0]), atol=1e-3)
+
+
 def test_chains_that_are_missing_are_named(tmp_path):
     path = tmp_path / "some.particles"
     traced(path, 1)
@@ -55,6 +66,12 @@ def test_a_run_that_was_killed_between_the_chains_and_their_particles(tmp_path):
     state_file(path).write_bytes(early)
     with pytest.raises(CheckpointError, match="has their state after pass 0, but the last pass is 1; trace a new file"):
         trace_particles(room, resume=path, paths=3 * STEPS)
+
+
+def test_a_pass_that_does_not_fit_into_memory_is_refused(tmp_path):
+    with pytest.raises(OptionError, match=r"a pass of 256 chains with 65000 steps needs 1132 MB.*lower steps"):
+        traced(tmp_path / "some.particles", 1, steps=65000, memory=100 << 20)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_way_to_trace_is_named():

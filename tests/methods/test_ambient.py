@@ -31,11 +31,14 @@ def test_ambient_light_of_a_furnace(term):
         assert (found.std(axis=0) < 0.03 * exact).all()
 
 
-@pytest.mark.parametrize(("method", "settings"), [("ambient_path", {"bounces": 2}), ("ambient_light", {"bounces": 1})])
-def test_pictures_of_a_furnace(method, settings):
-    """Several seeds, as each has its own ambient light."""
-    problem = furnace("sphere", RADIANCE, ALBEDO)
-    means = [run(problem, method, seed=seed, passes=1, samples=256, **settings).mean.mean() for seed in range(8)]
+@pytest.mark.parametrize(
+    ("method", "bounces", "plate"),
+    [("ambient_path", 2, False), ("ambient_path", 2, True), ("ambient_light", 1, False), ("ambient_light", 2, True)],
+)
+def test_pictures_of_a_furnace(method, bounces, plate):
+    """Several seeds, as each has its own ambient light. A null surface is no reflection."""
+    problem = furnace("sphere", RADIANCE, ALBEDO, plate=plate)
+    means = [run(problem, method, seed=seed, passes=1, samples=256, bounces=bounces).mean.mean() for seed in range(8)]
     assert abs(np.mean(means) - RADIANCE / (1 - ALBEDO)) < 4 * np.std(means, ddof=1) / np.sqrt(8) + 1e-4
     assert np.std(means) < 0.03
 

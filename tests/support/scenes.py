@@ -325,14 +325,17 @@ def lamp(centre: Any, side: float, radiance: float) -> Dict:
 # ---------------------------------------------------------------------------------------------------- closed forms
 
 
-def furnace(shape: str, radiance: float, albedo: float, size: tuple[int, int] = (8, 8)) -> Problem:
-    """Inside a closed surface that emits ``radiance`` and reflects ``albedo``: L / (1 - albedo) everywhere."""
+def furnace(shape: str, radiance: float, albedo: float, size: tuple[int, int] = (8, 8), plate: bool = False) -> Problem:
+    """Inside a closed surface that emits ``radiance`` and reflects ``albedo``: L / (1 - albedo) everywhere. With a null
+    ``plate`` through the middle, too."""
     body: Dict = {"bsdf": diffuse(albedo, albedo, albedo), "emitter": _area(radiance, radiance, radiance)}
     scene: Dict = {"type": "scene", "sensor": camera((0.2, 0.1, 0.3), (-0.5, 0.3, -0.4), 70.0, size=size)}
     if shape == "sphere":
         scene["body"] = {"type": "sphere", "radius": 1.0, "flip_normals": True} | body
     else:
         scene["body"] = {"type": "cube", "flip_normals": True} | body
+    if plate:
+        scene["plate"] = {"type": "disk", "to_world": transform().scale(0.95), "bsdf": {"type": "null"}}
     return load(scene)
 
 

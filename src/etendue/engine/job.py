@@ -27,7 +27,17 @@ from etendue.core import (
     logger,
     prepared,
 )
-from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate, unmerged
+from etendue.scene import (
+    BundledScene,
+    Camera,
+    Problem,
+    bundled_scene,
+    checked_size,
+    is_described,
+    load,
+    locate,
+    unmerged,
+)
 
 from .budget import Budget
 from .checkpoint import Checkpoint
@@ -67,6 +77,11 @@ class Task:
         ):
             if value is not None and (not is_whole(value) or value < least):
                 raise OptionError(f"{what} of at least {least}, not {value!r}")
+        for name in ("seed", "sensor", "memory"):  # for checkpoints, as plain numbers
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, int(value))
+        if self.size is not None:
+            object.__setattr__(self, "size", checked_size(self.size))
         settings = self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
         if getattr(settings, "cryptomatte", False):  # Cryptomatte identifies shapes by their names
             object.__setattr__(self, "merge", False)
@@ -137,7 +152,7 @@ class Job:
             parameters=task.parameters,
             memory=task.memory,
             camera=task.camera,
-            change=None if task.merge else unmerged,
+            change=None if task.merge or not is_described(task.scene) else unmerged,
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
@@ -178,7 +193,7 @@ class Job:
             wanted["camera"] = Camera(**place["camera"])
         try:
             source = scene if scene is not None else place.get("source") or bundled_scene(place["bundled"])
-            problem = load(source, **wanted, change=None if merge else unmerged)
+            problem = load(source, **wanted, change=None if merge or not is_described(source) else unmerged)
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
         checkpoint.require_scene(problem.fingerprint)

@@ -97,9 +97,15 @@ class Session(InNotebooks, Generic[T]):
         snapshot = self._runner.snapshot() if self._runner is not None else None
         return snapshot.layers.get("image") if snapshot is not None else None
 
+    @property
+    def _is_own_thread(self) -> bool:
+        return threading.current_thread() is self._thread
+
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for the end of the run, at most ``timeout`` seconds; returns whether it has ended. Raises the error of
-        the run."""
+        the run, and :class:`RuntimeError` in a callback, which the run waits for."""
+        if self._is_own_thread and self.running:
+            raise RuntimeError("a callback cannot wait for the end of its run; use what it is given, or request_stop()")
         # Short waits, since on some systems Ctrl-C does not interrupt a lock.
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._done.is_set():
@@ -123,8 +129,11 @@ class Session(InNotebooks, Generic[T]):
         self._stop.set()
 
     def cancel(self) -> None:
-        """Stop the run after the current pass and wait for it. :attr:`result` then has the passes so far."""
+        """Stop the run after the current pass and wait for it. :attr:`result` then has the passes so far. From a
+        callback, which the run waits for, as :meth:`request_stop`."""
         self._stop.set()
+        if self._is_own_thread:
+            return
         self._done.wait()
         self._thread.join()
 

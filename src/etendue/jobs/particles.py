@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -85,24 +86,17 @@ class ParticleRequest:
     wording: Wording = PYTHON
 
     def __post_init__(self) -> None:
-        _check_counts(self.wording, self.paths, self.particles)
+        self.wording.check_either("paths", self.paths, "particles", self.particles)
         Budget(self.seconds)
         Codec.parse(self.codec)
         if self.method not in TRACINGS:
             raise OptionError(f"no way '{self.method}' to trace particles; {suggest(self.method, TRACINGS)}")
         TRACINGS[self.method].Settings.from_mapping(self.settings, owner=f"tracing by {self.method}")
+        if self.boxes is not None:
+            BoxGrid.check_counts(self.boxes)
         if self.output is not None and self.output.exists():
             resume = self.wording.resume(self.output)
             raise OptionError(f"'{self.output}' exists: choose another name, remove it, or go on with it by {resume}")
-
-
-def _check_counts(wording: Wording, paths: int | None, particles: int | None) -> None:
-    """Raise :class:`OptionError` unless at most one is given, a whole number of at least 1."""
-    wording.check_count("paths", paths)
-    wording.check_count("particles", particles)
-    if None not in (paths, particles):
-        one, other = wording.option("paths"), wording.option("particles")
-        raise OptionError(f"{one} and {other} limit the same; give one of them")
 
 
 @dataclass
@@ -155,7 +149,7 @@ class ParticleWork:
         given: dict[str, Any] = {"parameters": request.parameters, "memory": request.memory, "merge": merge}
         task = Task(request.scene, kind, seed=request.seed, **given)
         spent = time.perf_counter() - begin
-        job = Job(problem, tracing, seed=request.seed, budget=budget, place=task.place(), preparation=spent, task=task)
+        job = Job(problem, tracing, seed=task.seed, budget=budget, place=task.place(), preparation=spent, task=task)
         if request.output is None:
             return cls(job, None)._cut(request.boxes)
         header = {
@@ -163,7 +157,7 @@ class ParticleWork:
             "fingerprint": problem.fingerprint,
             "light_fingerprint": problem.light_fingerprint,
             "place": job.place,
-            "seed": request.seed,
+            "seed": job.seed,
             "method": request.method,
             "settings": tracing.settings.to_json(),
             "paths_per_pass": tracing.samples_per_iteration,
@@ -184,7 +178,7 @@ class ParticleWork:
 
         Raises :class:`OptionError` for limits as in a request, :class:`ParticleError` for a file that cannot be read,
         :class:`CheckpointError` if the scene has changed or the budget is used up."""
-        _check_counts(wording, budget.samples, particles)
+        wording.check_either("paths", budget.samples, "particles", particles)
         known = ParticleFile(path)
         saved = _checkpoint(known)
         if particles is not None:
@@ -392,6 +386,8 @@ def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], ob
             writer.add(int(end.head["pass"]), rows, end.head["counters"], **more)
             tell(done, len(known.passes))
         ending = {name: value for name, value in known.ending.items() if name != "crc"}
+        if state_file(source).exists():  # of chains, which go on with it
+            shutil.copyfile(state_file(source), state_file(output))
         writer.close(**ending)  # without an ending the copy is not finished either
     except BaseException:
         writer.discard()

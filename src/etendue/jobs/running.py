@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
+import numpy as np
+
 from etendue.core import EtendueError, Progress, describe, format_count, logger
 from etendue.engine import RunError, Runner, RunResult, Session
 
@@ -158,7 +160,8 @@ def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Run
 
     def after_pass(progress: Progress) -> None:
         _observe(work, progress)
-        if watch is not None and watch(progress, runner) is False:
+        answer = None if watch is None else watch(progress, runner)
+        if isinstance(answer, (bool, np.bool_)) and not answer:
             stop.set()
 
     runner.on_progress = after_pass

@@ -37,5 +37,12 @@ class Wording:
         if value is not None and not (is_number(value) and float(value).is_integer() and value >= 1):
             raise OptionError(f"a budget in {self.limit(name)} must be a whole number of at least 1, not {value!r}")
 
+    def check_either(self, one: str, value: Any, other: str, value_of_other: Any) -> None:
+        """As :meth:`check_count` for two limits, of which at most one may be given."""
+        self.check_count(one, value)
+        self.check_count(other, value_of_other)
+        if value is not None and value_of_other is not None:
+            raise OptionError(f"{self.option(one)} and {self.option(other)} limit the same; give one of them")
+
 
 PYTHON = Wording()

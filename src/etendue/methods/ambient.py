@@ -32,6 +32,7 @@ from etendue.transport import (
     AmbientTable,
     CameraPath,
     DirectSample,
+    LightPath,
     LightWalk,
     LocalLights,
     Scattered,
@@ -223,6 +224,10 @@ class _EndingLightWalk(LightWalk):
 
     bounces: int
 
+    def begin(self, paths: int, source: SampleSource, numbered: bool = False, **own: Any) -> LightPath:
+        """See :class:`LightWalk`. Vertices are counted without null surfaces, as reflections of ambient light are."""
+        return super().begin(paths, source, True, **own)
+
     def advance(
         self,
         s: SubPath,
@@ -233,5 +238,7 @@ class _EndingLightWalk(LightWalk):
     ) -> mi.Float:
         """See :class:`Walker`."""
         factor = super().advance(s, vertex, scattered, source, roulette_by)
-        s.active &= scattered.is_delta | (vertex.number < self.bounces)
+        assert isinstance(s, LightPath) and s.vertex is not None
+        number = s.vertex - 1 if self.visibility.transparent else vertex.number  # the vertex is counted already
+        s.active &= scattered.is_delta | (number < self.bounces)
         return factor

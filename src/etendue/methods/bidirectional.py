@@ -28,7 +28,7 @@ import numpy as np
 
 from etendue.core import Carrying, IndependentSource, State, logger
 from etendue.density import HashGrid
-from etendue.film import COMPONENTS, REFLECTED
+from etendue.film import REFLECTED
 from etendue.scene import LightTable, Problem
 from etendue.transport import (
     CLASSES,

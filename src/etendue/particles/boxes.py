@@ -9,6 +9,7 @@ undivided scene. This applies the parameterisation of paths by voxels of [Leeson
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -37,11 +38,16 @@ class BoxGrid:
 
     planes: tuple[tuple[float, ...], ...]
 
+    @staticmethod
+    def check_counts(counts: Sequence[int]) -> None:
+        """Raise :class:`OptionError` unless these are numbers of boxes along x, y and z."""
+        if len(counts) != 3 or not all(is_whole(n) and 1 <= n <= 64 for n in counts):
+            raise OptionError(f"a scene is cut into three whole numbers of boxes from 1 to 64, not {counts}")
+
     @classmethod
     def even(cls, boxes: Array, counts: tuple[int, int, int]) -> BoxGrid:
         """Cuts of equal widths through shapes with the bounding ``boxes`` (n, 6). Raises :class:`OptionError`."""
-        if len(counts) != 3 or not all(is_whole(n) and 1 <= n <= 64 for n in counts):
-            raise OptionError(f"a scene is cut into three whole numbers of boxes from 1 to 64, not {counts}")
+        cls.check_counts(counts)
         lower, upper = boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)
         return cls(
             tuple(

@@ -43,10 +43,12 @@ class ParticleWriter:
         head = dict(header) | {"format": blocks.FORMAT, "codec": str(codec), "surfaces": surfaces.describe()}
         try:
             first = blocks.write_block(file, blocks.HEADER, head, [zlib.compress(surfaces.frames.tobytes(), 6)])
-        except OSError as error:
+        except BaseException as error:
             file.close()
             path.unlink(missing_ok=True)
-            raise _failure(path, error) from None
+            if isinstance(error, OSError):
+                raise _failure(path, error) from None
+            raise
         return cls(path, file, codec, surfaces, [], first.end)
 
     @classmethod

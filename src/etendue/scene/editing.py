@@ -199,7 +199,8 @@ def _in(folder: Path | None, name: str, what: str) -> Path:
 def _described(
     source: Any, parameters: Mapping[str, Any] | None, folder: Path | None
 ) -> tuple[str, mi.FileResolver, mi.parser.ParserState, _Writing]:
-    """(name, where its files are searched, parsed description, functions that write its meshes to ``folder``) of a scene."""
+    """(name, where its files are searched, parsed description, functions that write its meshes to ``folder``) of a
+    scene."""
     from .loading import _parse
 
     found = _locate(source)

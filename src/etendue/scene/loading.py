@@ -73,7 +73,7 @@ def load(
 
     use_variant()
     if size is not None:
-        size = _checked_size(size)
+        size = checked_size(size)
     if memory is not None and memory <= 0:
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
@@ -130,7 +130,8 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
     raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
 
 
-def _checked_size(size: Sequence[int]) -> Size:
+def checked_size(size: Sequence[int]) -> Size:
+    """(width, height) as plain numbers. Raises :class:`OptionError` unless that can be the size of a picture."""
     try:
         width, height = (int(v) for v in size)
     except (TypeError, ValueError):

@@ -3,7 +3,7 @@
 from . import dimensions
 from .bidirectional.cache import PICK_BLOCK, LightCache
 from .bidirectional.camera_walk import CameraWalk
-from .bidirectional.light_walk import LightWalk
+from .bidirectional.light_walk import LightPath, LightWalk
 from .bidirectional.linear import Counts
 from .bidirectional.mis import GRAZING, Mis, Techniques
 from .bidirectional.moments import TILE, Candidate, Moments
@@ -122,6 +122,7 @@ __all__ = [
     "LearnedEmission",
     "LightCache",
     "LightChoice",
+    "LightPath",
     "LightVertex",
     "LightVertices",
     "LightWalk",
