@@ -154,3 +154,6 @@ def test_a_function_stays_in_its_range():
     }  # in two corners
     assert failing(check_function(Integrand(lambda x: dr.square(x[0]), 1, range=(0.0, 1.0), on="device"))) == set()
     assert failing(check_function(Integrand(lambda x: x[7], 1))) == {"interface"}
+    several = Integrand(lambda x: np.stack([x[0], x[1], x[0] * 0 + 2.0]), 2, values=3, range=(0.0, 2.0))
+    assert failing(check_function(several)) == set()
+    assert failing(check_function(Integrand(lambda x: np.stack([x[0], 3 * x[1]]), 2, values=2, range=(0.0, 1.0))))

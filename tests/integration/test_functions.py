@@ -237,6 +237,12 @@ def test_even_points_help_many_integrals(better, gain):
     assert variance(better) * gain < variance(MeanSample())
 
 
+def test_an_integral_has_the_range_of_its_values():
+    for known, expected in (((0.5, math.inf), (0.05, math.inf)), ((-math.inf, 5.0), (-math.inf, 0.5))):
+        marginal = integral(Integrand(lambda x: x[0], [(0, 1), (0, 0.1)], known), [1])
+        assert marginal.range == pytest.approx(expected)
+
+
 @pytest.mark.parametrize("inner", [MeanSample(), Stratified(), QuasiMonteCarlo(replicates=2)])
 def test_an_integral_is_a_function_of_the_other_parameters(inner):
     f = Integrand(lambda x: x[0] * x[1] * x[1] + x[2], [(0, 1), (0, 2), (0, 1)])

@@ -222,6 +222,16 @@ def test_what_is_not_finite_is_never_entered(caplog):
     assert chains.points[0].min() >= 1.0
 
 
+def test_a_target_that_is_negative_where_no_chain_begins(monkeypatch):
+    def begin(self, work):
+        middle = np.full(self.chains, 0.5)
+        return [middle, middle], middle - 0.25
+
+    monkeypatch.setattr(Metropolis, "_begin", begin)
+    with pytest.raises(IntegrationError, match="negative somewhere"):
+        Metropolis(proposal=UniformStep(0.3)).sample(Integrand(lambda x: x[0] - 0.25, 2), 10_000)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -35,10 +35,11 @@ OPTIONS = {
     "one level's exponent": {"exponent": 1.0},
     "small regions": {"minimum": 8},
     "few levels": {"depth": 3},
+    "nearly all exploration": {"exploration": 0.9, "minimum": 8},
 }
 
 
-@pytest.mark.parametrize("name", thinned(sorted(OPTIONS), sorted(OPTIONS)[::2]))
+@pytest.mark.parametrize("name", thinned(sorted(OPTIONS), [*sorted(OPTIONS)[::2], "nearly all exploration"]))
 def test_every_option_is_unbiased_and_honest(name):
     f, integral = known("decay")
     found = runs(RecursiveStratified(**OPTIONS[name]), f, 3000, 120)
@@ -47,7 +48,11 @@ def test_every_option_is_unbiased_and_honest(name):
     assert all(e.samples == 3000 for e in found)
 
 
-@pytest.mark.parametrize("name", thinned(sorted(OPTIONS), sorted(OPTIONS)[3::3]))
+#: The other one spends nine tenths of each level on exploration, which no peak pays back.
+FINDING = sorted(OPTIONS.keys() - {"nearly all exploration"})
+
+
+@pytest.mark.parametrize("name", thinned(FINDING, FINDING[3::3]))
 def test_two_narrow_peaks(name):
     """Check 7 of the framework's list: a fifth of the variance of plain Monte Carlo at 10^4 samples, or less. Options
     that waste samples here are only asked to win."""

@@ -3,6 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from support import scenes
 from support.running import run
 
 import etendue
@@ -82,3 +83,11 @@ def test_a_clamp_bounds_what_a_path_brings(method):
     expected = free * np.minimum(1.0, 0.4 / np.maximum(brightest, 1e-9))
     assert (brightest > 0.4).any() and (brightest < 0.4).any()
     np.testing.assert_allclose(clamped, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_clamp_bounds_negative_weights_of_a_filter():
+    problem = scenes.room("sphere", scenes.FEW, rfilter="mitchell")
+    alone = {"passes": 1, "samples": 1, "reconstruction": "independent"}
+    free, clamped = (run(problem, "path", seed=2, clamp=c, **alone).mean for c in (0.0, 0.1))
+    assert free.min() < -0.1
+    assert np.abs(clamped).max() <= 0.1 * (1 + 1e-5)

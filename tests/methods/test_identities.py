@@ -98,8 +98,10 @@ def test_layers_sum_to_the_image(name):
 
 
 @pytest.mark.parametrize("name", thinned(("bpt cache", "vcm", "bpm"), ("vcm",)))
-def test_layers_may_be_left_unsplit(name):
+@pytest.mark.parametrize("clamp", [0.0, 0.3])
+def test_layers_may_be_left_unsplit(name, clamp):
     method, settings = METHODS[name]
+    settings = settings | {"clamp": clamp}
     settings = settings | {"shadow_roulette": 0.0}  # its threshold is measured, and differs a little
     split = run(problem(), method, passes=2, samples=4, split_layers=True, **settings).mean
     whole = run(problem(), method, passes=2, samples=4, split_layers=False, **settings)

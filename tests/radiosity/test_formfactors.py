@@ -21,6 +21,8 @@ from etendue.radiosity import (
     form_factors,
     local_form_factors,
     pair_errors,
+    read_form_factors,
+    save_form_factors,
 )
 
 
@@ -191,6 +193,27 @@ def test_errors_of_estimators_are_those_of_counted_lines():
         assert (np.abs(values.mean(axis=0)) < 3 * values.std(axis=0, ddof=1) / np.sqrt(len(found))).all()
     f1, f2, f3, f4, reciprocal, pooled = found.mean(axis=0)
     assert f1 < f3 < f2 < reciprocal and max(f4, pooled) < f3
+
+
+def test_local_factors_are_saved_with_their_errors(tmp_path):
+    """All rays of a convex box meet the room around it: factors without variance. When factors are repaired, their
+    errors follow."""
+    (outer, faces), (inner, own) = box((0, 0, 0), (3, 3, 3), 1, inward=True), box((1, 1, 1), (2, 2, 2), 1)
+    ids = np.r_[np.zeros(len(faces), int), 1 + np.arange(len(own))]
+    patches = Patches(np.concatenate([outer, inner]), np.concatenate([faces, own + len(outer)]), ids=ids)
+    local = local_form_factors(RayScene(patches), 4096, points=Independent(4, seed=2))
+    assert local.matrix[1, 0] == pytest.approx(1.0, abs=1e-12)
+    for number, factors in enumerate((local, local.repaired())):
+        save_form_factors(tmp_path / f"{number}.npz", factors)
+        found = read_form_factors(tmp_path / f"{number}.npz")
+        np.testing.assert_array_equal(found.errors.toarray(), factors.errors.toarray())
+        np.testing.assert_array_equal(found.matrix.toarray(), factors.matrix.toarray())
+    # By reciprocity from the outer box to a face of the inner one, 1/54; its error is that of counts.
+    assert local.matrix[0, 1] == pytest.approx(1 / 54, abs=5 * np.sqrt(1 / 54 / 4096))
+    assert local.errors[0, 1] == pytest.approx(np.sqrt(1 / 54 / 4096), rel=0.3)
+    repaired = local.repaired()
+    assert repaired.errors[0, 1] == pytest.approx(local.errors[0, 1])
+    assert repaired.errors[1, 0] == pytest.approx(54 * local.errors[0, 1])
 
 
 def test_what_form_factors_cannot_be():

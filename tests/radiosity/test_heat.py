@@ -90,6 +90,7 @@ def test_a_warm_sky():
     ("options", "words"),
     [
         ({"temperatures": -3}, "at least 0 kelvin"),
+        ({"temperatures": [300.0, 400.0]}, "one for each of 6 patches"),
         ({"emissivity": 0.0}, "absorb"),
         ({"emissivity": 1.2}, "absorb"),
         ({"emissivity": [0.5, 0.5]}, "2 rows for 6 patches"),

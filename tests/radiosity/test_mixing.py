@@ -13,6 +13,7 @@ from etendue.radiosity import (
     Patches,
     RadiosityError,
     RayScene,
+    Segments,
     form_factors,
     local_form_factors,
     save_segments,
@@ -36,6 +37,13 @@ def test_patches_that_are_alike_get_no_rays():
     segments = cast(cube(2), OwenSobol(4))
     assert with_local_rays(segments) is segments
     assert with_local_rays(cast(pebbles(), OwenSobol(4)), least=0).extra is None
+
+
+def test_batches_may_have_no_lines():
+    lines = cast(pebbles(), OwenSobol(4, seed=1))
+    batches = [0] * (len(lines.chunks) - 1) + [3]
+    segments = with_local_rays(Segments(lines.patches, lines.chunks, batches, lines.expected), least=64)
+    np.testing.assert_allclose(segments.gather(np.ones(len(lines.patches)), 1.0), 1)
 
 
 @pytest.mark.parametrize("missing", [0, 4])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import meshio
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from etendue.radiosity import (
     atlas,
     lightmap,
     picture,
+    read_patches,
+    save_solution,
     scene_patches,
     shot_at_patches,
 )
@@ -105,13 +108,27 @@ def test_gathering_far_from_the_origin():
     assert np.abs(images[1] - images[0]).mean() < 1e-3 * images[0].mean()
 
 
-def test_meshes_far_from_the_origin(caplog):
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".ply"])
+def test_files_of_solutions_far_from_the_origin(suffix, tmp_path):
+    plain = room(2)
+    patches = Patches(plain.vertices + FAR, plain.faces, reflectance=0.5)
+    save_solution(tmp_path / f"far{suffix}", solved(patches, np.ones((len(patches), 1))))
+    found = read_patches(tmp_path / f"far{suffix}")
+    np.testing.assert_allclose(found.vertices.min(axis=0), patches.vertices.min(axis=0), rtol=0, atol=1e-6)
+    assert found.areas.sum() == pytest.approx(plain.areas.sum(), rel=1e-6)
+
+
+def test_meshes_far_from_the_origin(caplog, tmp_path):
     """Of single precision: a line says what it holds."""
     vertices, faces = np.array([[5e5, 0, 0], [500001, 0, 0], [5e5, 1, 0]]), np.array([[0, 1, 2]])
     Patches(vertices, faces)
     assert not caplog.text
     Patches(vertices.astype(np.float32), faces)
     assert "single precision rounds coordinates of 5e+05 to multiples of 0.06" in caplog.text
+    caplog.clear()
+    meshio.Mesh(vertices.astype(np.float32), [("triangle", faces)]).write(tmp_path / "wall.ply")
+    read_patches(tmp_path / "wall.ply")
+    assert "wall.ply: single precision rounds coordinates of 5e+05" in caplog.text
     caplog.clear()
     scene_patches(mi.load_dict({"type": "scene", "wall": corner(FAR)["box"] | {"bsdf": diffuse(0.1, 0.2, 0.3)}}))
     assert "single precision rounds coordinates of 4e+06" in caplog.text

@@ -2,7 +2,7 @@
 
 from .arrays import save_arrays
 from .errors import FormatError
-from .gltf import GltfMesh, read_texture_coordinates, write_gltf
+from .gltf import GltfMesh, far_centre, read_texture_coordinates, write_gltf
 from .meshes import write_mesh
 from .netcdf import NetcdfFile, netcdf_library, read_netcdf
 from .view3d import view3d_lines
@@ -11,6 +11,7 @@ __all__ = [
     "FormatError",
     "GltfMesh",
     "NetcdfFile",
+    "far_centre",
     "netcdf_library",
     "read_netcdf",
     "read_texture_coordinates",

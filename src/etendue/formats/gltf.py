@@ -53,14 +53,26 @@ class GltfMesh:
     extras: dict[str, Any] = field(default_factory=dict)
 
 
+def far_centre(vertices: Array) -> Array | None:
+    """The centre of ``vertices`` (v, 3) so far from the origin that single precision would move them by more than about
+    1e-4 of the mesh's size; ``None`` nearer to it."""
+    if not len(vertices):
+        return None
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    is_far = np.abs(vertices).max() > 1e3 * np.linalg.norm(high - low)
+    return np.asarray(low + high) / 2 if is_far else None
+
+
 def write_gltf(path: str | os.PathLike[str], mesh: GltfMesh, metadata: Mapping[str, Any] | None = None) -> None:
-    """Write ``.glb``, binary, or ``.gltf``, text with the data in it. ``metadata``: values for JSON.
+    """Write ``.glb``, binary, or ``.gltf``, text with the data in it. ``metadata``: values for JSON. Vertices far from
+    the origin are written relative to their centre, with the translation in the node.
 
     Raises :class:`FormatError` for a ``.glb`` of more than 4 GB, :class:`etendue.core.OutputError` if the file cannot
     be written.
     """
+    centre = far_centre(mesh.vertices)
     arrays = {
-        "POSITION": mesh.vertices,
+        "POSITION": mesh.vertices if centre is None else mesh.vertices - centre,
         "NORMAL": mesh.normals,
         **mesh.attributes,
         "indices": mesh.triangles.astype(np.uint32).ravel(),
@@ -82,7 +94,7 @@ def write_gltf(path: str | os.PathLike[str], mesh: GltfMesh, metadata: Mapping[s
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0} | ({} if centre is None else {"translation": centre.tolist()})],
         "meshes": [{"primitives": [primitive], "extras": mesh.extras}],
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0}, "extensions": {"KHR_materials_unlit": {}}}],
         "accessors": accessors,

@@ -185,15 +185,16 @@ class Metropolis:
         work = Work(target, seed)
         x, f = self._begin(work)
         points, values = np.empty((work.dimension, self.chains, steps)), np.empty((self.chains, steps))
-        accepted = 0.0
+        accepted = lowest = 0.0
         for step in range(steps):
-            x, f, moved = self._step(work, x, f)
-            work.backend.compute(x, f, moved)
+            x, f, moved, there = self._step(work, x, f)
+            work.backend.compute(x, f, moved, there)
             for row, coordinate in zip(points, work.box.from_unit(x), strict=True):
                 row[:, step] = work.backend.host(coordinate)
             values[:, step] = work.backend.host(f)
             accepted += float(work.backend.host(moved).sum())
-        if values.min() < 0:
+            lowest = min(lowest, float(work.backend.host(there).min()))
+        if lowest < 0:
             raise IntegrationError("the target of a chain is negative somewhere: it is no density")
         first = burn_in(values) if self.burn_in is None else self.burn_in
         rejected = work.backend.rejected()
@@ -228,8 +229,8 @@ class Metropolis:
         place = np.where(total > 0, place, place[found[row % len(found)]])
         return list(backend.points(u[:, place])), backend.points(values[None, place])[0]
 
-    def _step(self, work: Work, x: list[Numbers], f: Numbers) -> tuple[list[Numbers], Numbers, Numbers]:
-        """One step of every chain: state, target there, and 1 where the proposal was accepted."""
+    def _step(self, work: Work, x: list[Numbers], f: Numbers) -> tuple[list[Numbers], Numbers, Numbers, Numbers]:
+        """One step of every chain: state, target there, 1 where the proposal was accepted, target of the proposal."""
         backend, need = work.backend, self.proposal.numbers(work.dimension)
         u = list(backend.uniform(self.chains, need + 1))
         moved, ratio = self.proposal.propose(backend, x, u[:need])
@@ -241,4 +242,4 @@ class Metropolis:
         there = work.values(at)
         accept = inside & (u[need] * f < there * ratio)
         x = [backend.where(accept, new, old) for new, old in zip(moved, x, strict=True)]
-        return x, backend.where(accept, there, f), backend.where(accept, 1.0, backend.broadcast(0.0, x))
+        return x, backend.where(accept, there, f), backend.where(accept, 1.0, backend.broadcast(0.0, x)), there

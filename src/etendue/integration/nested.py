@@ -79,7 +79,7 @@ def integral(
     return Integrand(
         together if method.batched else one_by_one,
         outer.domain,
-        (low * volume, high * volume) if np.isfinite([low, high]).all() else f.range,
+        (low * volume, high * volume) if volume > 0.0 else (0.0, 0.0),
         f.on if method.batched else "host",
         values=f.values,
     )

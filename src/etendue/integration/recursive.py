@@ -227,7 +227,8 @@ class _Run:
             borders = self._equal_borders(count, n, o.dither)
             parts = np.ones((count, n))
         else:
-            spent = np.maximum((o.exploration * rest).astype(int), 2 * n)
+            # At least two samples of each part explore it, and two remain for its estimate.
+            spent = np.clip((o.exploration * rest).astype(int), 2 * n, rest - 2 * n)
             axis, borders, parts = self._explore(level, regions, spent)
             rest = rest - spent
         share = self._allocate(rest, parts * np.diff(borders) if blind else parts)

@@ -39,7 +39,10 @@ def thermal(
     The net heat of a solution is :attr:`Solution.net_power`. Raises :class:`SurfaceError` for temperatures below
     zero, emissivities out of range, and edges that do not ascend.
     """
-    t = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), (len(patches),))
+    t = np.asarray(temperatures, dtype=np.float64)
+    if t.shape not in ((), (1,), (len(patches),)):
+        raise SurfaceError(f"temperatures are a number, or one for each of {len(patches)} patches, not {t.shape}")
+    t = np.broadcast_to(t, (len(patches),))
     if not (np.isfinite(t).all() and (t >= 0).all() and surroundings >= 0):
         raise SurfaceError("temperatures are finite numbers of at least 0 kelvin")
     values = np.asarray(emissivity(t) if callable(emissivity) else emissivity, dtype=np.float64)

@@ -315,10 +315,15 @@ def _vertices(values: ArrayLike) -> Array:
         raise PatchError(
             f"{len(broken)} of {len(vertices)} vertices are not finite, first {broken[0]}; repair the mesh"
         )
-    if len(vertices) and np.asarray(values).dtype == np.float32:
-        size = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
-        warn_of_steps("patches", float(np.abs(vertices).max()), size, "give vertices of double precision")
+    warn_of_rounded("patches", np.asarray(values))
     return vertices
+
+
+def warn_of_rounded(name: str, vertices: NDArray[Any]) -> None:
+    """Warn if ``vertices`` (v, 3) have single precision, whose steps are large for their distances."""
+    if len(vertices) and vertices.dtype == np.float32:
+        size = float(np.linalg.norm(np.ptp(vertices.astype(np.float64), axis=0))) / 2
+        warn_of_steps(name, float(np.abs(vertices).max()), size, "give vertices of double precision")
 
 
 def _faces_with_area(vertices: Array, faces: Index, rows: Index) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ reciprocity."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -75,8 +75,8 @@ class FormFactors(InNotebooks):
         """Form factors with every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
 
         The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed with the smallest relative sum of squares, so that zeros
-        remain zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which
-        means that there are too few lines.
+        remain zero. The sky is not changed. The error of ``A_i F_ij`` is the larger one of both directions. Raises
+        :class:`RadiosityError` if a factor would become negative, which means that there are too few lines.
         """
         from scipy.sparse.linalg import lsmr
 
@@ -92,7 +92,11 @@ class FormFactors(InNotebooks):
         if (factor < 0).any():
             raise RadiosityError("these form factors are too noisy to be repaired: cast more lines")
         changed.data = changed.data * factor / self.areas[changed.row]
-        return replace(self, matrix=changed.tocsr())
+        of_exchange = (_diagonal(self.areas) @ self.errors).tocsr()
+        errors = changed.copy()
+        errors.data = _entries(of_exchange.maximum(of_exchange.T.tocsr()), changed.row, changed.col)
+        errors.data /= self.areas[changed.row]
+        return replace(self, matrix=changed.tocsr(), errors=errors.tocsr())
 
     def transposed(self) -> FormFactors:
         """Form factors of the opposite direction: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system
@@ -203,6 +207,17 @@ def check_estimator(estimator: str) -> None:
 def pair_errors(estimated: FormFactors, exact: FormFactors) -> float:
     """Sum over all pairs of the squared differences, the measure FFE [Castro 2002, sec. 4.3]."""
     return float(((estimated.matrix - exact.matrix) ** 2).sum())
+
+
+def _entries(matrix: scipy.sparse.csr_array, rows: NDArray[Any], columns: NDArray[Any]) -> Array:
+    """The entries of a matrix at the given rows and columns, 0 where it has none."""
+    own, width = matrix.tocoo(), matrix.shape[1]
+    keys, wanted = own.row.astype(np.int64) * width + own.col, rows.astype(np.int64) * width + columns
+    if not len(keys):
+        return np.zeros(len(wanted))
+    order = np.argsort(keys)
+    found = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
+    return np.where(keys[found] == wanted, own.data[found], 0.0)
 
 
 def _diagonal(values: Array) -> scipy.sparse.dia_array:

@@ -61,8 +61,11 @@ def local_form_factors(
         sums += sparse().coo_array((weight, (row, found)), shape=sums.shape).tocsr()
         squares += sparse().coo_array((weight**2, (row, found)), shape=sums.shape).tocsr()
     mean = (sums / samples).tocsr()
-    variance = squares / samples - mean**2
-    errors = variance.maximum(0).sqrt() / np.sqrt(samples - 1)
+    # Both sums have the same entries; a difference of sparse matrices would drop those without variance.
+    mean.sort_indices()
+    squares.sort_indices()
+    errors = mean.copy()
+    errors.data = np.sqrt(np.maximum(squares.data / samples - mean.data**2, 0.0) / (samples - 1))
     lines = np.zeros(n, np.int64)
     lines[chosen] = samples
     sky = np.asarray(mean[:, [n]].todense()).ravel()

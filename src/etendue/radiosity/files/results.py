@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from etendue.core import sparse
 from etendue.film import replacing
-from etendue.formats import netcdf_library, save_arrays, view3d_lines, write_gltf, write_mesh
+from etendue.formats import far_centre, netcdf_library, save_arrays, view3d_lines, write_gltf, write_mesh
 from etendue.surfaces import face_sides, vertex_radiosity
 
 from ..errors import RadiosityError
@@ -170,7 +170,9 @@ def save_solution(
             return
         colours = np.broadcast_to(smooth.values, (len(smooth.values), 3)).astype(np.float32)
         data = {name: np.ascontiguousarray(c) for name, c in zip(("red", "green", "blue"), colours.T, strict=True)}
-        write_mesh(path, "ply", smooth.vertices.astype(np.float32), smooth.faces, data, {})
+        # Far from the origin in double precision.
+        vertices = smooth.vertices.astype(np.float32 if far_centre(smooth.vertices) is None else np.float64)
+        write_mesh(path, "ply", vertices, smooth.faces, data, {})
         return
     by_patch = {
         "radiosity": solution.radiosity,

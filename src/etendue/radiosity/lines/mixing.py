@@ -84,7 +84,7 @@ def with_local_rays(
     batches = max(segments.batch_count, 1)
     from_lines: list[list[Pairs]] = [[] for _ in range(batches)]
     from_rays: list[list[Pairs]] = [[] for _ in range(batches)]
-    is_few = extra > 0
+    is_few, none = extra > 0, np.empty((0, 2), np.uint32)  # a batch may have no lines
     for chunk, batch in zip(segments.chunks, segments.batches, strict=True):
         from_lines[batch].append(chunk[is_few[chunk[:, 0]] | is_few[chunk[:, 1]]])
     for pairs, number in _rays(scene or RayScene(segments.patches), few, rays, points or OwenSobol(4, seed=1)):
@@ -92,7 +92,7 @@ def with_local_rays(
             from_rays[batch].append(pairs[number * batches // rays == batch])
     logger.info("%d local rays from each of %d patches that few lines meet", rays, len(few))
     corrections = [
-        _weighted(np.concatenate(new), extra) + _weighted(np.concatenate(met), extra, less=1.0)
+        _weighted(np.concatenate(new), extra) + _weighted(np.concatenate([none, *met]), extra, less=1.0)
         for new, met in zip(from_rays, from_lines, strict=True)
     ]
     return MixedSegments(segments, corrections, extra[:-2], rays * len(few))

@@ -164,6 +164,6 @@ def mesh_normals(mesh: TexturedMesh) -> Array:
 
 
 def _wavefront(mesh: TexturedMesh) -> Iterator[str]:
-    yield from (f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices)
+    yield from (f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in mesh.vertices)
     yield from (f"vt {u:.9g} {v:.9g}\n" for u, v in mesh.uv)
     yield from (f"f {a}/{a} {b}/{b} {c}/{c}\n" for a, b, c in mesh.faces + 1)

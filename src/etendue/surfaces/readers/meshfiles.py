@@ -15,7 +15,7 @@ from etendue.core import Array, library, logger, suggest
 from ..errors import PatchError
 from ..faces import face_vectors, flat_faces, repeated
 from ..heat import thermal
-from ..patches import Patches
+from ..patches import Patches, warn_of_rounded
 
 Index = NDArray[np.int64]
 
@@ -191,6 +191,7 @@ def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
         for name, arrays in mesh.cell_data.items()
         if blocks
     }
+    warn_of_rounded(str(path), np.asarray(mesh.points))
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
