@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -115,7 +116,8 @@ def test_the_written_scene_has_the_changes(changed: np.ndarray, tmp_path: Path) 
 def test_plugins_in_python_are_written() -> None:
     scene = room() | {"integrator": {"type": "vcm", "max_depth": 5}}
     scene["metal"]["bsdf"] = {"type": "phong"}
-    text = scene_xml(scene, None, ParameterChanges({"bulb.position": [1.0, 2.0, 3.0]}))
+    text = scene_xml(scene, None, ParameterChanges({"bulb.position": (1.0, 2.0, 3.0)}))
+    assert re.search(r'name="position" [^/]*1[^/]*2[^/]*3', text)
     assert '<integrator type="vcm"' in text and '<bsdf type="phong"' in text
 
 

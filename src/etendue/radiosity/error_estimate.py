@@ -20,8 +20,8 @@ _FEW_SEGMENTS = 1 << 20
 class IrradianceError:
     """Standard error of the irradiance of a solution, averaged over the surface, relative to the mean irradiance.
 
-    Estimates of a growing number of passes share their work: a solution is used for up to ten times as many segments,
-    and the sums over the passes of each replicate are kept.
+    Estimates of a growing number of passes share their work: beyond a million segments, the last solution and the sums
+    over the passes of each replicate are kept.
     """
 
     def __init__(self, patches: Patches, replicates: int) -> None:

@@ -37,6 +37,8 @@ class ParameterChanges:
         for key, value in self.values.items():
             if not (is_number(value) or isinstance(value, str) or _is_numbers(value)):
                 raise OptionError(f"the value of '{key}' is a number, a list of numbers or a file, not {value!r}")
+        lists = {key: list(value) if isinstance(value, tuple) else value for key, value in self.values.items()}
+        object.__setattr__(self, "values", lists)
 
     def __call__(self, state: mi.parser.ParserState) -> None:
         """Change a parsed scene."""
