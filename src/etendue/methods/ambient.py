@@ -61,7 +61,11 @@ class _AmbientSettings:
         "squares of the components of the normal (fuzzy)",
         choices=AMBIENT_TERMS,
     )
-    bounces: int = setting(1, "reflections of the paths that are followed; light of more is ambient", minimum=1)
+    bounces: int = setting(
+        1,
+        "most reflections of a path; light reflected more often comes from the ambient term",
+        minimum=1,
+    )
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ class ImageSettings(Settings):
         "owen",
         "random numbers of the paths: Owen-scrambled Sobol' points, stratified over the samples of a pixel and over "
         "the light paths of a pass (owen), Halton's sequence (halton), Hammersley's points, a set for each pass "
-        "(hammersley), or independent numbers (independent); Markov chains have independent numbers unless owen",
+        "(hammersley), or independent numbers (independent); Markov chains take halton and hammersley as independent",
         choices=("owen", "halton", "hammersley", "independent"),
     )
     scrambling: str = setting(

@@ -37,7 +37,7 @@ class BidirectionalSettings(CameraSettings):
     light_source: str = setting(
         "cache",
         "light vertices for connections: sampled at random from all light paths of the pass (cache), or all vertices "
-        "of the light path with the number of the camera path (path)",
+        "of the light path with the same number as the camera path (path)",
         choices=("cache", "path"),
     )
     heuristic: str = setting(

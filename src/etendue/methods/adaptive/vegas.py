@@ -60,7 +60,7 @@ class VegasSettings(AdaptiveSettings):
     )
     learning: str = setting(
         "importance",
-        "quantity that the bins are adapted to share equally: sum of squared contributions (importance), or standard "
+        "quantity that is made equal in all bins: sum of squared contributions (importance), or standard "
         "deviation (stratified)",
         choices=("importance", "stratified"),
     )

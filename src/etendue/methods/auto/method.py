@@ -75,6 +75,12 @@ _DOUBT = {"path": 1.0, "bpt": 0.4}
 class AutoSettings(CameraSettings):
     """Settings of ``auto``."""
 
+    rr_depth: int = setting(
+        5,
+        "path length, in edges, from which on Russian roulette may end a path; values above 2 act as 2, except with "
+        "choice=path",
+        minimum=1,
+    )
     choice: str = setting(
         "learn",
         "sample counts of the passes: chosen while it renders (learn), or those of path, bpt, bpt with "
@@ -82,7 +88,7 @@ class AutoSettings(CameraSettings):
         choices=("learn", *FIXED),
     )
     probe_passes: int = setting(
-        2, "first passes, from which the first choice is made; more: a better choice", minimum=1, maximum=1000
+        2, "number of passes before the first choice; more: a better choice", minimum=1, maximum=1000
     )
     radius: float = setting(0.006, "merge radius of the first pass, over half the diagonal of the scene", above=0.0)
     alpha: float = setting(

@@ -87,9 +87,12 @@ class FilmSettings(MetropolisSettings):
         choices=ESTIMATORS,
     )
     bandwidth: float = setting(
-        0.7, "standard deviation of kernel, and at the mean density of variable, in pixels", above=0.0, maximum=1000.0
+        0.7,
+        "standard deviation of the Gaussians in pixels; of variable, at the mean density of samples",
+        above=0.0,
+        maximum=1000.0,
     )
-    neighbours: int = setting(50, "samples of nearest", minimum=1)
+    neighbours: int = setting(50, "number of samples in an estimate by nearest", minimum=1)
 
     def __post_init__(self) -> None:
         super().__post_init__()

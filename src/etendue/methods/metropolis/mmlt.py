@@ -25,7 +25,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import IndependentSource, OptionError, SampleSource, on_device
+from etendue.core import IndependentSource, OptionError, SampleSource, on_device, setting
 from etendue.film import COMPONENTS
 from etendue.integration import Layout, Slot
 from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniques
@@ -47,6 +47,10 @@ _EVEN, _PILOT = 0.2, 1 << 16
 @dataclass(frozen=True)
 class MmltSettings(MetropolisSettings):
     """Settings of ``mmlt``."""
+
+    rr_depth: int = setting(
+        5, "without effect: the length of a path is chosen before it is sampled, and no roulette ends it", minimum=1
+    )
 
 
 class SingleTarget:

@@ -40,7 +40,7 @@ class PmSettings(PhotonSettings):
     neighbours: int = setting(
         50, "number of nearest photons in an estimate; more: less noise, more blur", minimum=2, maximum=1000
     )
-    radius: float = setting(0.1, "largest distance of these photons, in the unit of radius_unit", above=0.0)
+    radius: float = setting(0.1, "largest distance of the nearest photons, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     final_gather: bool = setting(
         False, "estimate indirect light from photons one bounce after the first smooth surface, which hides blotches"

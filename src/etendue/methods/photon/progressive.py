@@ -55,8 +55,8 @@ class SppmSettings(PhotonSettings):
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     neighbours: int = setting(
         0,
-        "photons of the first pass within the first radius, which is chosen accordingly, at most radius; 0: the first "
-        "radius is radius everywhere",
+        "k: the first radius of a point is the distance of the k-th nearest photon of the first pass, at most radius; "
+        "0: the first radius is radius everywhere",
         minimum=0,
         maximum=1000,
     )
