@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -12,9 +11,6 @@ from support.tables import thinned
 
 import etendue
 from etendue.scene import bundled
-
-#: A bundled scene is checked in a few seconds on two cores; others may be running beside this.
-SECONDS = 60.0
 
 
 def plain(**parts):
@@ -25,11 +21,9 @@ def plain(**parts):
 
 @pytest.mark.parametrize("name", thinned(bundled(), ("caustics", "cornell-box", "skylight")))
 def test_bundled_scenes_pass(name):
-    began = time.monotonic()
     report = etendue.check(name)
     assert report.ok, report.failures
     assert not report.warnings, report.warnings
-    assert time.monotonic() - began < SECONDS
     kinds = {f.component.split()[0] for f in report.findings}
     assert {"scene", "material", "emitter", "sensor"} <= kinds
 

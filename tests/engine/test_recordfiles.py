@@ -173,15 +173,20 @@ def test_a_writer_that_is_killed_leaves_a_whole_checkpoint(tmp_path):
         ours, theirs = os.pipe()
         writer = os.fork()
         if writer == 0:  # writes files and pipes, nothing else
-            total = measured(range(1))
-            while True:
-                checkpoint(total).write(path)
-                os.write(theirs, b".")
-                total += measured([len(total.iterations)])
+            try:
+                total = measured(range(1))
+                while True:
+                    checkpoint(total).write(path)
+                    os.write(theirs, b".")
+                    total += measured([len(total.iterations)])
+            finally:
+                os._exit(1)
         os.close(theirs)
         said = 0
         while said < 1 + attempt % 3:
-            said += len(os.read(ours, 1))
+            got = os.read(ours, 1)
+            assert got, "the writer has failed"
+            said += len(got)
         time.sleep(0.002 * attempt)
         os.kill(writer, signal.SIGKILL)
         os.waitpid(writer, 0)

@@ -130,7 +130,8 @@ def compare(
         images = replicas(_scene(*key), method, runs, 2, samples=max(128, samples // 2), seed=seed, **settings)
     else:
         result = run(_scene(*key), method, passes=runs, samples=samples, seed=seed, **settings)
-        assert result.measurement.counters["nonfinite"] == 0
+        if result.measurement.counters["nonfinite"]:
+            pytest.fail(f"{name} {key}: values that are not finite")  # no chance: not compared again by another seed
         images = result.images
     assert_agree(images, reference, (name, *key))
 

@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 import pytest
 from support import scenes
 from support.running import go, prepared
@@ -26,6 +27,9 @@ def test_kernels_read_aligned_memory(name: str) -> None:
         dr.kernel_history_clear()
         go(prepared(scenes.room("rectangle", scenes.FEW), name, 1, **_SETTINGS.get(name, {})), 2, 1)
         kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
-    reading = [one for one in kernels if re.search(r"load <\d+ x [^\n]*align 1,", one["ir"].getvalue())]
+    texts = {id(one): one["ir"].getvalue() for one in kernels}
+    if not mi.variant().startswith("cuda"):  # where loads are written in another form
+        assert any(re.search(r"load <\d+ x [^\n]*align \d+", text) for text in texts.values())
+    reading = [one for one in kernels if re.search(r"load <\d+ x [^\n]*align 1\b", texts[id(one)])]
     # Those that copy such memory are short, and the same for all scenes.
     assert kernels and not [one["size"] for one in reading if one["operation_count"] > 10]

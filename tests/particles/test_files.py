@@ -82,6 +82,7 @@ def test_parts_by_surface_and_region(monkeypatch):
     equal(
         known.read([known.shape("left")], [low, high]), everything[inside & (everything.shape == known.shape("left"))]
     )
+    assert read
     read.clear()
     assert len(known.read(box=[[5, 5, 5], [6, 6, 6]])) == 0
     assert read == []

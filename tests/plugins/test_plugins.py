@@ -297,9 +297,12 @@ def test_cancel_stops_after_the_pass(monkeypatch):
     assert done == [0, 1]
 
 
-def test_timeout():
+def test_timeout(monkeypatch):
+    done = []
+    passes.watch(monkeypatch, "bpt", lambda method, iteration: done.append(iteration))
     integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1, "timeout": 0.2})
     assert mi.render(mi.load_dict(box("path", size=8)), integrator=integrator, spp=100000).shape == (8, 8, 3)
+    assert 0 < len(done) < 100000
 
 
 RENDER = """

@@ -3,6 +3,9 @@ input. What the thesis found on its scenes is in tests/benchmarks."""
 
 from __future__ import annotations
 
+import functools
+import operator
+
 import numpy as np
 import pytest
 from support.patches import box, joined, room, square
@@ -260,15 +263,16 @@ def hierarchical(patches, **settings):
 @pytest.mark.parametrize("settings", [{"engine": "rays", "lines": 600}, {"engine": "bundles", "lines": 4000}])
 def test_passes_add_up_and_depend_on_nothing_else(settings):
     method = hierarchical(room(2), bundles_per_pass=4, **settings)
-    runner = Runner(method, seed=3, budget=Budget(samples=16))
+    runner = Runner(method, seed=3, budget=Budget(samples=64))
     whole = runner.run().measurement
-    parts = [method.step(k, 3, {}).measurement for k in (2, 0, 3, 1)]
-    together = parts[0] + parts[1] + parts[2] + parts[3]
+    parts = [method.step(k, 3, {}).measurement for k in (2, 0, 3, 1, *range(4, 16))]
+    together = functools.reduce(operator.add, parts)
     one, other = method.segments(whole), method.segments(together)
     for a, b in zip(one.chunks, other.chunks, strict=True):
         np.testing.assert_array_equal(a, b)
-    np.testing.assert_array_equal(one.expected, method.engine.expected(16))
-    assert method.noise(whole) is None or method.noise(whole) > 0
+    np.testing.assert_array_equal(one.expected, method.engine.expected(64))
+    assert method.noise(parts[0]) is None  # of too few passes
+    assert method.noise(whole) == pytest.approx(np.mean(method.engine.expected(64) ** -0.5) ** 2)
     assert abs(one.counted.sum() / one.expected.sum() - 1) < 0.05
 
 

@@ -122,6 +122,6 @@ def test_a_large_mesh_is_quick():
     params.update()
     dr.sync_thread()
     problem = load(changed(sheet=mesh))
-    start = time.perf_counter()
+    start = time.process_time()  # other work on the machine does not count
     assert len(problem.fingerprint) == 32
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0

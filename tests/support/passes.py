@@ -75,5 +75,9 @@ def simulate_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def press_ctrl_c() -> None:
     """Ctrl-C during a pass: the main thread, which waits for the run, hears it before this returns. A signal to the
     process may reach another thread, and the main thread then hears it half a second later."""
+    handler = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
     signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+    end = time.monotonic() + 10.0
+    while getattr(handler, "received", 0) is None and time.monotonic() < end:
+        time.sleep(0.005)
     time.sleep(0.3)

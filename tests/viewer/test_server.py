@@ -255,9 +255,11 @@ def test_of_states_that_wait_the_latest_is_sent_in_the_order_of_the_latest():
         client = Client(Slow(), asyncio.get_running_loop())
         for kind, number in (("note", 0), ("camera", 1), ("state", 2), ("camera", 3), ("progress", 4), ("state", 5)):
             client.send(kind, number=number)
-        await asyncio.sleep(0.1)
+        while len(sent) < 4:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.1)  # nothing else comes
 
-    asyncio.run(talk())
+    asyncio.run(asyncio.wait_for(talk(), 30))
     assert [(m["type"], m["number"]) for m in sent] == [("note", 0), ("camera", 3), ("progress", 4), ("state", 5)]
 
 
