@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from etendue.core import OptionError, OutputError
-from etendue.display import auto_exposure, encode_png, tonemap, write_png
+from etendue.display import CURVES, auto_exposure, encode_png, tonemap, write_png
 from etendue.film import read_image
+from etendue.viewer.shown import toned
 
 
 def grey(values):
@@ -110,3 +111,13 @@ def test_png_refuses_what_it_cannot_hold(tmp_path):
         with pytest.raises(OutputError, match="bytes"):
             write_png(tmp_path / "a.png", wrong)
     assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize("curve", sorted(CURVES))
+def test_the_viewer_shows_what_files_contain(curve):
+    """Its tables of half precision, at most one step of eight bits away."""
+    x = np.random.default_rng(2).lognormal(-1.0, 2.0, (40, 50, 3)).astype(np.float32)
+    x[0, :4] = [[np.nan] * 3, [0.0] * 3, [1e6] * 3, [-1.0] * 3]
+    for stops in (0.0, -2.5):
+        shown, written = (np.asarray(p, int) for p in (toned(x, stops, curve), tonemap(x, stops, curve)))
+        assert np.abs(shown - written).max() <= 1

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from support.workers import Chain, Powers, Simulated, alone, run
 
@@ -14,6 +16,7 @@ from etendue.core import ClusterError, Iterations, OptionError, SceneError
 from etendue.distributed import SCHEDULES, Arrival, Lost, Recipe, Spread
 from etendue.distributed import crew as crew_module
 from etendue.distributed import spread as spread_module
+from etendue.distributed import worker as worker_module
 from etendue.distributed.content import Offered
 from etendue.distributed.schedules import Static, Stealing
 from etendue.distributed.worker import Failed
@@ -35,6 +38,17 @@ def test_each_pass_is_in_the_sum_exactly_once_whatever_workers_do(seed):
     assert made.measurement.sums["x"] == alone(Powers(), 200).measurement.sums["x"]
     assert made.measurement.counters["rays"] == 200
     assert pool.deaths > 0
+
+
+def test_large_sums_travel_in_single_precision_and_are_added_in_double(monkeypatch):
+    monkeypatch.setattr(worker_module, "_LARGE", 0)
+    made, expected = run(Simulated(Powers, 3), Powers(), 60).measurement, alone(Powers(), 60).measurement
+    for found, known in ((made.sums["x"], expected.sums["x"]), (made.squares["x"], expected.squares["x"])):
+        assert found.dtype == np.float64
+        np.testing.assert_allclose(found, known, rtol=1e-6)
+    plain = replace(expected, sums={"a": np.ones(2), "b": np.array([1e31, 1.0]), "c": np.array([np.nan])})
+    sent = worker_module.narrowed(plain).sums
+    assert {name: array.dtype for name, array in sent.items()} == {"a": np.float32, "b": np.float64, "c": np.float64}
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -41,6 +41,19 @@ def test_kernels_of_any_width(width, inset):
     assert np.abs(picture - exact).max() < 0.02 * exact.max()
 
 
+@pytest.mark.parametrize("estimator", ["histogram", "kernel", "variable", "nearest"])
+def test_light_is_where_samples_are(estimator):
+    """Coloured spots in two corners: rows are y, and every colour stays with its samples."""
+    rng = np.random.default_rng(1)
+    spots = []
+    for place, colour in (([0.81, 0.25], [1, 0, 0]), ([0.31, 0.75], [0, 1, 0])):
+        spots.append(np.hstack([rng.normal(place, 0.03, (4000, 2)), np.tile(colour, (4000, 1))]))
+    picture = Development(SIZE, estimator).picture([np.concatenate(spots).astype(np.float32)], 8000)
+    assert np.unravel_index(picture[..., 0].argmax(), SIZE[::-1]) == (1, 6)
+    assert np.unravel_index(picture[..., 1].argmax(), SIZE[::-1]) == (4, 2)
+    assert picture[:3, :, 1].sum() < 0.05 * picture[..., 1].sum()
+
+
 @pytest.mark.parametrize(("estimator", "free"), [("kernel", 1e4), ("variable", 1e4), ("nearest", 1e3)])
 def test_what_does_not_fit_into_memory(estimator, free, monkeypatch):
     monkeypatch.setattr(developing, "free_memory", lambda: int(free))

@@ -314,6 +314,13 @@ def test_a_mirrored_turned_and_larger_scene_has_the_same_light():
     node = 1
     expected, found = alone.irradiance(0), inside.irradiance(node)
     assert abs((found / expected).mean() - 1) < 0.02
+    own = inside.tree.numbers_in_joined[inside.tree.offsets[node] : inside.tree.offsets[node + 1]]
+    np.testing.assert_allclose(flat.normals[own], sealed.patches.normals @ (mirror[:3, :3] / 2).T, atol=1e-12)
+
+
+def test_a_plate_under_the_sky_has_its_irradiance():
+    plate = Patches(*square((0, 0, 0), (3, 0, 0), (0, 3, 0)), reflectance=0.7, sky=2.0)
+    assert solved(Part(plate)).irradiance(0)[0, 0] == pytest.approx(2.0, rel=0.01)
 
 
 def test_values_on_patches_and_on_the_joined_mesh():
