@@ -12,7 +12,7 @@ from etendue.jobs import FileSource, MapOptions, make_map, write_map
 from etendue.jobs.maps import making
 from etendue.jobs.particles import repack
 from etendue.scene import load
-from etendue.surfaces import MapSurfaces, SurfaceError, irradiance_at, read_map
+from etendue.surfaces import MapSurfaces, SurfaceError, face_sides, irradiance_at, read_map, vertex_radiosity
 
 PATHS = 20_000
 
@@ -104,11 +104,21 @@ def test_files(traced, tmp_path):
         assert len(written) == (2 if suffix in ("exr", "png") else 1)
     again = read_map(tmp_path / "map.npz", problem)
     np.testing.assert_array_equal(again.values, values)
-    cells = np.concatenate(meshio.read(tmp_path / "map.vtu").cell_data["irradiance"])
-    np.testing.assert_allclose(np.sort(cells[:, 0]), np.sort(values[:, 0]))
+    # In the file, triangles come before quadrilaterals.
+    corners, patch = face_sides(made.surfaces.patches)
+    is_quad = corners[:, 2] != corners[:, 3]
+    order = np.concatenate([patch[~is_quad], patch[is_quad]])
+    data = meshio.read(tmp_path / "map.vtu").cell_data
+    for name, known in (
+        ("irradiance", values),
+        ("irradiance_error", made.map.errors),
+        ("shape", made.surfaces.shapes),
+    ):
+        np.testing.assert_allclose(np.concatenate(data[name]), known[order])
     write_map(tmp_path / "only.glb", made.map, made.surfaces)
     (mesh,) = trimesh.load(tmp_path / "only.glb", process=False).geometry.values()
-    assert np.asarray(mesh.vertex_attributes["_IRRADIANCE"]).max() <= values.max() * (1 + 1e-6)
+    smooth = vertex_radiosity(made.surfaces.patches, values).values
+    np.testing.assert_allclose(mesh.vertex_attributes["_IRRADIANCE"], smooth, rtol=1e-5, atol=1e-6)
     texture = read_exr(tmp_path / "map.exr").layers["image"]
     assert abs(texture[texture.sum(axis=2) > 0].mean() / (values.mean(axis=1) @ areas / areas.sum()) - 1) < 0.5
     with pytest.raises(OptionError, match="a map is written as"):

@@ -18,6 +18,22 @@ from etendue.radiosity import LineCasting, read_solution
 LIT = {"reflectance": 0.5, "emission": np.repeat([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], 4)}
 
 
+def test_parameters_reach_the_scene(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        '<scene version="3.0.0"><default name="size" value="1"/><sensor type="perspective"/><shape type="cube">'
+        '<boolean name="flip_normals" value="true"/><transform name="to_world"><scale value="$size"/></transform>'
+        '<emitter type="area"><rgb name="radiance" value="1"/></emitter></shape></scene>'
+    )
+    for given, size in ((None, 1.0), ({"size": 3}, 3.0)):
+        factors = etendue.compute_form_factors(path, bundles=8, parameters=given).factors
+        assert factors.areas.sum() == pytest.approx(24 * size**2)
+        solution = etendue.solve_radiosity(path, bundles=8, parameters=given).solution
+        assert solution.patches.areas.sum() == pytest.approx(24 * size**2)
+        particles = etendue.trace_particles(path, paths=200, parameters=given).particles
+        assert np.abs(particles.position).max() == pytest.approx(size, rel=1e-5)
+
+
 def test_the_result_is_that_of_a_call(tmp_path):
     patches = cube(2, **LIT)
     session = etendue.start_radiosity(patches, bundles=64, seed=5, save=tmp_path / "s.npz")
