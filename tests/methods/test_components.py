@@ -43,9 +43,15 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
     "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
+    "auto": ("auto", {"radius": 0.001, "probe_passes": 1}),
+}
+#: Their ambient light is exact in a furnace only.
+AMBIENT: dict[str, tuple[str, dict[str, Any]]] = {
+    "ambient_path": ("ambient_path", {"bounces": 2}),
+    "ambient_light": ("ambient_light", {"bounces": 2}),
 }
 #: Methods whose passes depend on each other, or share their camera rays: independent runs have the variance.
-DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt", "ppm")
+DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt", "ppm", "auto", *AMBIENT)
 FAST = ("path", "light", "bpt", "sppm")
 
 
@@ -63,10 +69,10 @@ def parts(method: str, problem: Any, seed: int = 1, samples: int = SAMPLES, **se
     return layers
 
 
-@pytest.mark.parametrize("name", thinned(METHODS, FAST))
+@pytest.mark.parametrize("name", thinned(METHODS | AMBIENT, (*FAST, *AMBIENT)))
 def test_components_in_a_furnace(name):
     """Inside a sphere of emission L and albedo a: L, a L, nothing, and a^2 L / (1 - a) in every pixel."""
-    method, settings = METHODS[name]
+    method, settings = (METHODS | AMBIENT)[name]
     radiance, albedo = 0.8, 0.5
     layers = parts(method, scenes.furnace("sphere", radiance, albedo), **settings)
     expected = {
