@@ -108,8 +108,11 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
     layers = {}
     for layer in sorted(grouped, key=lambda name: (name != "image", name)):
         members = grouped[layer]
-        order = next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), None)
-        order = order or next((o for o in _COLOURS if set(o) < members.keys()), None) or sorted(members)
+        order = (
+            next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), "")
+            or next((o for o in _COLOURS if set(o) < members.keys()), "")
+            or sorted(members)
+        )
         layers[layer] = np.stack([members[suffix] for suffix in order], axis=-1).astype(np.float32)
         for suffix in sorted(members.keys() - set(order)):
             own = suffix if layer == "image" else f"{layer}.{suffix}"
