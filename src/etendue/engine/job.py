@@ -30,6 +30,7 @@ from etendue.core import (
 from etendue.scene import (
     BundledScene,
     Camera,
+    Change,
     Problem,
     bundled_scene,
     checked_size,
@@ -109,6 +110,11 @@ class Task:
         return place
 
 
+def _change(scene: Any, merge: bool) -> Change | None:
+    """The change that keeps the shapes of a scene apart, if they may not be merged; a loaded scene has its shapes."""
+    return None if merge or not is_described(scene) else unmerged
+
+
 class Job:
     """A task whose scene is loaded and whose method is prepared."""
 
@@ -152,7 +158,7 @@ class Job:
             parameters=task.parameters,
             memory=task.memory,
             camera=task.camera,
-            change=None if task.merge or not is_described(task.scene) else unmerged,
+            change=_change(task.scene, task.merge),
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
@@ -193,7 +199,7 @@ class Job:
             wanted["camera"] = Camera(**place["camera"])
         try:
             source = scene if scene is not None else place.get("source") or bundled_scene(place["bundled"])
-            problem = load(source, **wanted, change=None if merge or not is_described(source) else unmerged)
+            problem = load(source, **wanted, change=_change(source, merge))
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
         checkpoint.require_scene(problem.fingerprint)
