@@ -22,6 +22,11 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "vcm": ("vcm", {}),
 }
 
+LAMPS = (
+    *("rectangle", "focused", "cylinder", "sphere", "cube", "attribute"),
+    *("ball", "ball veiled", "bent", "bent focused", "spot"),
+)
+
 
 def _texture() -> dict[str, Any]:
     """One bright corner, one dim one, the rest nearly black."""
@@ -47,6 +52,18 @@ def lamp(name: str) -> Any:
             emitter = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color"}}
             faces = np.array([[0, 1, 2], [0, 2, 3]])
             return scenes.mesh(corners, faces, scenes.diffuse(0, 0, 0), colours=colours, emitter=emitter)
+        case "bent" | "bent focused":  # normals that differ from those of the faces by up to 60 degrees
+            corners = np.array([[0.0, 1.5, -0.5], [1.0, 1.4, -0.5], [1.0, 1.5, 0.4], [0.0, 1.6, 0.4]])
+            normals = np.array([[-0.8, -0.5, -0.8], [1.0, -1.0, 0.0], [0.9, -0.6, 0.5], [-0.5, -1.0, 0.9]])
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            emitter = scenes._area(6, 4, 2)
+            if name == "bent focused":
+                emitter |= {"type": "focusarea", "exponent": 2.0}
+            faces = np.array([[0, 1, 2], [0, 2, 3]])
+            return scenes.mesh(corners, faces, scenes.diffuse(0.3, 0.3, 0.3), normals=normals, emitter=emitter)
+        case "spot":  # with a texture of which Mitsuba samples no spectrum
+            towards = scenes.transform().look_at([0.5, 1.9, 0.3], [0.0, 0.0, 0.0], [0, 0, 1])
+            return {"type": "spot", "to_world": towards, "cutoff_angle": 40.0, "texture": {"type": "checkerboard"}}
         case "ball":
             return {"type": "sphere", "to_world": place.scale(0.35), "emitter": scenes._area(3, 2, 1)}
     return {"type": name, "to_world": place.scale(0.3)} | light
@@ -72,7 +89,10 @@ def room(name: str) -> Any:
 def _scene(name: str) -> tuple[Any, np.ndarray]:
     """A room, and its picture by hits alone."""
     problem = room(name)
-    if name == "rectangle":  # on other shapes Mitsuba draws points by a texture that it does not look up again
+    if name in (
+        "rectangle",
+        "spot",
+    ):  # on other shapes Mitsuba draws points by a texture that it does not look up again
         return problem, mitsuba_path(problem, passes=6, samples=256)
     return problem, run(problem, "path", passes=6, samples=512, seed=77, mode="naive").images
 
@@ -100,10 +120,18 @@ def test_spherical_lamps(name, method):
     compare(name, method)
 
 
+@pytest.mark.parametrize(("name", "method"), [("bent", "bpt power"), ("bent focused", "vcm"), ("bent", "light")])
+def test_mesh_lamps_with_vertex_normals(name, method):
+    compare(name, method)
+
+
+@pytest.mark.parametrize("method", ["bpt", "light"])
+def test_a_spot_light_with_a_procedural_texture(method):
+    compare("spot", method)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    "name", ["rectangle", "focused", "cylinder", "sphere", "cube", "attribute", "ball", "ball veiled"]
-)
+@pytest.mark.parametrize("name", LAMPS)
 def test_every_lamp_by_every_method(name, method):
     compare(name, method)

@@ -152,21 +152,9 @@ def test_a_texture_that_is_infinite():
         load(scene(ball=ball({"type": "diffuse", "reflectance": bitmap(np.inf)})))
 
 
-def lamp(tmp_path, normal):
-    text = "v 0 0 1\nv 1 0 1\nv 0 1 1\n" + f"vn {normal}\nvn 0 0 1\nvn 0 0 1\n" + "f 1//1 2//2 3//3\n"
-    (tmp_path / "lamp.obj").write_text(text)
-    return {"type": "obj", "filename": str(tmp_path / "lamp.obj"), "emitter": AREA}
-
-
-def test_a_lamp_whose_normals_are_its_faces(tmp_path):
-    load(scene(lamp=lamp(tmp_path, "0 0 1")))
-
-
-def test_a_lamp_with_bent_normals(tmp_path):
-    bent = lamp(tmp_path, "0.6 0 0.8")
-    with pytest.raises(UnsupportedError, match=r"lamp.*face_normals"):
-        load(scene(lamp=bent))
-    load(scene(lamp=bent | {"face_normals": True}))
+def test_a_projector_of_a_procedural_texture():
+    with pytest.raises(UnsupportedError, match=r"emitter 'slide' of type 'projector'.*'checkerboard'.*use a 'bitmap'"):
+        load(scene(slide={"type": "projector", "irradiance": {"type": "checkerboard"}}))
 
 
 def test_a_film_that_samples_its_border():

@@ -142,9 +142,9 @@ class LightTracing(Carrying, ImageMethod):
             active &= density > 0.0
 
         joined = self.camera.connect(si, aperture, active)
-        si.sh_frame = mi.Frame3f(si.n)
-        si.wi = si.to_local(joined.direction)
-        cos = mi.Frame3f.cos_theta(si.wi)
+        # Emitters on surfaces use the cosine only: that to the interpolated normal, which decides where a mesh emits.
+        si.wi = mi.Vector3f(0.0, 0.0, dr.dot(joined.direction, si.sh_frame.n))
+        cos = dr.dot(joined.direction, si.n)
         distance = dr.norm(si.p - joined.target)
         reach = distance * (1.0 - _SHADOW_EPSILON)
         if self.lights.has_infinite:

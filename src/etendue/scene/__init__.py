@@ -9,7 +9,16 @@ from .changes.parameters import SceneEditor, SceneParameter
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
-from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
+from .lamps.radiance import (
+    front,
+    has_cells,
+    is_smooth,
+    sphere_point,
+    sphere_point_facing,
+    surface_point,
+    uniform_point,
+)
+from .lamps.rays import own_ray
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
 from .parsing import is_sensor
@@ -46,16 +55,20 @@ __all__ = [
     "composed_bsdf",
     "described_lights",
     "fingerprint",
+    "front",
     "graph",
+    "has_cells",
     "integrator_of",
     "is_described",
     "is_sensor",
+    "is_smooth",
     "load",
     "load_part",
     "locate",
     "materials",
     "meshes",
     "name_elements",
+    "own_ray",
     "parameters",
     "part_files",
     "portable",
@@ -69,7 +82,6 @@ __all__ = [
     "surface_point",
     "uniform_point",
     "unmerged",
-    "varies",
     "view",
     "warn_of_offsets",
     "warn_of_steps",

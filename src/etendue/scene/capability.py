@@ -102,11 +102,6 @@ def _check_shape(shape: mi.Shape) -> None:
             )
         if not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
             raise SceneError(f"{name} emits light but has no area; remove it or repair its geometry")
-        if "vertex_normals" in values and not _is_faceted(values):
-            raise UnsupportedError(
-                f"{name} emits light and has vertex normals that differ from its face normals, which is not supported; "
-                "set its face_normals to true"
-            )
 
 
 def _check_emitter(emitter: mi.Emitter) -> None:
@@ -122,6 +117,12 @@ def _check_emitter(emitter: mi.Emitter) -> None:
         raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")
     for node in below(emitter):
         _check_values(node, name)
+    if kind == "projector":
+        texture = dict(contents(emitter).objects)["irradiance"]
+        if texture.is_spatially_varying() and plugin_name(texture) != "bitmap":
+            raise UnsupportedError(
+                f"{name} projects a {describe(texture, 'texture')}, which is not supported; use a 'bitmap'"
+            )
 
 
 def _check_values(item: mi.Object, name: str) -> None:
@@ -148,19 +149,6 @@ def _check_mesh(mesh: mi.Mesh, values: dict[str, Any], name: str) -> None:
             f"{name} has a face ({face}) with vertex {int(faces.max())}, but only {mesh.vertex_count()} vertices; "
             "repair the mesh"
         )
-
-
-def _is_faceted(mesh: dict[str, Any]) -> bool:
-    """Whether a mesh's vertex normals are those of its faces, or opposite to them, within half a degree."""
-    normals = as_array(mesh["vertex_normals"]).reshape(-1, 3)
-    if not len(normals):
-        return True
-    corners = as_array(mesh["vertex_positions"]).reshape(-1, 3)[as_array(mesh["faces"]).reshape(-1, 3)]
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(flat, axis=1, keepdims=True)
-    flat = (flat / np.where(length > 0, length, 1.0))[:, None, :]
-    cosine = np.einsum("fci,fki->fc", normals[as_array(mesh["faces"]).reshape(-1, 3)], flat)
-    return bool((np.abs(cosine)[length[:, 0] > 0] > 0.99996).all())
 
 
 def _floats(value: Any) -> NDArray[np.floating[Any]] | None:

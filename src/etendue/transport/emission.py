@@ -9,12 +9,21 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Light, LightTable, sphere_point, sphere_point_facing
+from etendue.scene import Light, LightTable, front, own_ray, sphere_point, sphere_point_facing
 
 from . import dimensions as dim
 from .guiding.departure import Departure, Departures
 from .guiding.lights import LocalLights
-from .lamps.points import area_density_on, departing, is_sphere, light_point, of_emission, of_next_event, place_on
+from .lamps.points import (
+    area_density_on,
+    departing,
+    facing,
+    is_sphere,
+    light_point,
+    of_emission,
+    of_next_event,
+    place_on,
+)
 from .lamps.spheres import cone_of, point_in, seen_density
 
 
@@ -110,8 +119,10 @@ def _emit_area(
         si = light_point(emitter, triangle, place, mask)
         if guided and is_sphere(emitter):
             si = dr.select(guided[3], sphere_point_facing(emitter.get_shape(), guided[2], si), si)
-        si.wi = dr.select(guided[1], mi.Frame3f(si.n).to_local(guided[0]), own) if guided else own
-        return si.p, si.n, si.wi, emitter.eval(si, mask)
+        frame = mi.Frame3f(si.n)
+        local = dr.select(guided[1], frame.to_local(guided[0]), own) if guided else own
+        si.wi = facing(emitter, si, frame.to_world(local), mi.Frame3f.cos_theta(local))
+        return si.p, si.n, local, emitter.eval(si, mask)
 
     p, n, local, radiance = dr.dispatch(light.emitter, emitted, triangle, place, own, guided, mask)
     si = dr.zeros(mi.SurfaceInteraction3f)
@@ -173,7 +184,7 @@ def _own_ray(light: Light, kind: mi.EmitterFlags, u: mi.Point2f, mask: mi.Bool) 
         if not mi.has_flag(emitter.flags(), kind):  # area lights with some textures do not implement sample_ray
             return dr.zeros(mi.Ray3f), mi.Color3f(0.0)
         # The same pair twice: spot reads its direction from the first one, others from the second.
-        return emitter.sample_ray(0.0, 0.5, u, u, mask)
+        return own_ray(emitter, u, u, mask)
 
     return dr.dispatch(light.emitter, sample, u, mask)
 
@@ -254,7 +265,7 @@ def _direct_area(
         distance_squared = dr.squared_norm(offset)
         direction = offset * dr.rsqrt(distance_squared)
         cos = -dr.dot(direction, at_light.n)
-        at_light.wi = mi.Vector3f(0.0, 0.0, cos)  # emitters use the cosine only
+        at_light.wi = facing(emitter, at_light, -direction, cos)
         radiance = emitter.eval(at_light, mask & (cos > 0.0))
         return at_light.p, at_light.uv, direction, distance_squared, cos, radiance
 
@@ -328,7 +339,11 @@ def emission_of_hit(
     light = lights.of(emitter, active)
     radiance = emitter.eval(si, active)
     area_density = point_density = area_density_on(lights, light, light.pick, si.uv, si.prim_index, active)
-    own = light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
+    cos = mi.Frame3f.cos_theta(si.wi)
+    if lights.has_smooth:
+        cos = dr.select(light.is_area, dr.dot(front(si), si.to_world(si.wi)), cos)
+        radiance = dr.select(light.is_area & (cos <= 0.0), 0.0, radiance)
+    own = light.direction_pdf(dr.maximum(cos, 0.0))
     direction_pdf = departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
     emission_density = of_emission(light, point_density * direction_pdf)
     if lights.has_sphere:

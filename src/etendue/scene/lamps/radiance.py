@@ -1,7 +1,11 @@
-"""The radiance of area lights over their surface, in cells, for textured lights.
+"""The radiance of area lights over their surface, in cells, for textured lights and for meshes with vertex normals.
 
 A cell is a triangle of a mesh, or a part of the unit square from which a rectangle, disc, sphere or cylinder samples
 its points. Its mean radiance is measured at evenly distributed points, at least as dense as the texels of the texture.
+
+A mesh with vertex normals emits into directions in front of both its face and its interpolated normal, by which Mitsuba
+evaluates the radiance. Area and cosines are those of the faces, so points are sampled by triangle: Mitsuba tells only
+the interpolated normal of a sampled point.
 """
 
 from __future__ import annotations
@@ -47,8 +51,24 @@ def varies(emitter: mi.Emitter) -> bool:
     return texture is not None and (texture.is_spatially_varying() or plugin_name(texture) == "meshattribute")
 
 
+def is_smooth(emitter: mi.Emitter) -> bool:
+    """Whether an area light is a mesh with vertex normals."""
+    shape = emitter.get_shape()
+    return bool(shape is not None and shape.is_mesh() and shape.has_vertex_normals())
+
+
+def has_cells(emitter: mi.Emitter) -> bool:
+    """Whether points of an area light are sampled by its cells."""
+    return varies(emitter) or is_smooth(emitter)
+
+
+def front(si: mi.SurfaceInteraction3f) -> mi.Normal3f:
+    """The normal of a face on the side of its interpolated normal, which is the side that emits."""
+    return dr.mulsign(si.n, dr.dot(si.n, si.sh_frame.n))
+
+
 def measure(emitter: mi.Emitter) -> RadianceCells:
-    """The cells of an area light that :func:`varies`."""
+    """The cells of an area light that :func:`has_cells`."""
     shape, texture = emitter.get_shape(), _texture(emitter)
     measured = _of_texture if plugin_name(shape) in SURFACES else _of_mesh
     return measured(emitter, shape, texture)
@@ -170,7 +190,7 @@ def _of_mesh(emitter: mi.Emitter, shape: mi.Shape, texture: mi.Texture) -> Radia
     faces = as_array(values["faces"]).reshape(-1, 3)
     corners = as_array(values["vertex_positions"]).astype(np.float64).reshape(-1, 3)[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    points = np.full(len(faces), _TRIANGLE_POINTS)
+    points = np.full(len(faces), _TRIANGLE_POINTS if varies(emitter) else 1)
     texels, coordinates = _texels(texture), as_array(values.get("vertex_texcoords", np.zeros(0)))
     if texels:
         covered = np.full(len(faces), 0.5)  # without texture coordinates, each triangle covers half of the texture
@@ -204,9 +224,9 @@ def _along_normal(emitter: mi.Emitter, si: mi.SurfaceInteraction3f) -> mi.Float:
     return dr.sum(emitter.eval(si)) / 3.0 + dr.zeros(mi.Float, dr.width(si.p))
 
 
-def _texels(texture: mi.Texture) -> tuple[float, float] | None:
+def _texels(texture: mi.Texture | None) -> tuple[float, float] | None:
     """Texels that the unit square of texture coordinates holds along either axis; None if the texture has none."""
-    if plugin_name(texture) != "bitmap":
+    if texture is None or plugin_name(texture) != "bitmap":
         return None
     width, height = (int(n) for n in np.asarray(texture.resolution()).ravel())
     turn = np.abs(as_array(dict(contents(texture).values)["to_uv"]).reshape(-1)[:9].reshape(3, 3))

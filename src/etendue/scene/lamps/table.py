@@ -6,8 +6,8 @@ four kinds of emitter:
 =========  ==================================  ====================================================================
 kind       point density p_A (per area)        direction density p_w of an emitted ray (per solid angle)
 =========  ==================================  ====================================================================
-area       1 / A, uniform over the shape; by   cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1)
-           the radiance where that varies
+area       1 / A, uniform over the shape; by   cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1);
+           the radiance where that varies      theta: angle to the face, also with vertex normals
 point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
            projector)                          every ray
 infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky), or 1 for its
@@ -36,7 +36,8 @@ from etendue.core import Array, SceneError, copied_to_device, on_device
 from ..graph import as_array, contents, plugin_name
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .points import LightPoints
-from .radiance import RadianceCells, is_black, measure, varies
+from .radiance import RadianceCells, has_cells, is_black, is_smooth, measure
+from .rays import own_ray
 
 #: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
@@ -117,6 +118,8 @@ class LightTable:
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
         #: Whether there are lights that no ray can hit.
         self.has_delta = any(r.is_delta for r in rows)
+        #: Whether a light is a mesh with vertex normals.
+        self.has_smooth = any(r.cells is not None and is_smooth(e) for r, e in zip(rows, emitters, strict=True))
         self.has_sphere = any(r.sphere[3] for r in rows)
         self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
         #: Point sampling on area lights whose radiance varies; None if the scene has no such light.
@@ -246,7 +249,7 @@ def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
-    cells = measure(emitter) if varies(emitter) else None
+    cells = measure(emitter) if has_cells(emitter) else None
     radiance = cells.mean if cells else _radiance(emitter)
     # Focus keeps the power and increases the radiance along the normal.
     power = np.pi * area * radiance / (0.5 * exponent + 1.0)
@@ -264,7 +267,7 @@ def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:
 def _power(emitter: mi.Emitter) -> float:
     """Emitted power, the mean weight of emitted rays, averaged over the colour channels."""
     u = _weyl(_POWER_SAMPLES)
-    _, weight = emitter.sample_ray(0.0, 0.5, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
+    _, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
     return float(np.asarray(weight, dtype=np.float64).mean())
 
 
@@ -288,7 +291,7 @@ def _cone_density(emitter: mi.Emitter) -> float:
         cosine = np.cos(np.deg2rad(float(np.asarray(parameters["cutoff_angle"]).ravel()[0])))
     elif "irradiance" in parameters:
         u = _weyl(_POWER_SAMPLES)
-        ray, _ = emitter.sample_ray(0.0, 0.5, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
+        ray, _ = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
         axis = np.asarray(parameters["to_world"].matrix, np.float64).reshape(4, 4)[:3, 2]
         cosine = float((axis / np.linalg.norm(axis) @ np.asarray(ray.d, np.float64)).min())
     else:

@@ -35,7 +35,7 @@ class LocalLights:
         table = self.table
         self.has_area, self.has_point = table.has_area, table.has_point
         self.has_infinite, self.has_beam = table.has_infinite, table.has_beam
-        self.points, self.has_sphere = table.points, table.has_sphere
+        self.points, self.has_sphere, self.has_smooth = table.points, table.has_sphere, table.has_smooth
 
     def _chance(self, row: mi.UInt32 | int, active: mi.Bool | bool) -> mi.Float:
         return dr.gather(mi.Float, self.probability, self.cell * self.table.count + row, active)

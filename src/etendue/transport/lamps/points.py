@@ -9,7 +9,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from etendue.scene import Light, LightTable, graph, surface_point, uniform_point, varies
+from etendue.scene import Light, LightTable, front, graph, has_cells, is_smooth, surface_point, uniform_point
 
 from ..guiding.departure import Departures
 from ..guiding.lights import LocalLights
@@ -23,12 +23,12 @@ def point_on(
 
     def point(
         emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.UInt32]:
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Normal3f, mi.Point2f, mi.UInt32]:
         si = light_point(emitter, triangle, place, mask)
-        return si.p, si.n, si.uv, si.prim_index
+        return si.p, si.n, si.sh_frame.n, si.uv, si.prim_index
 
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
-    si.p, si.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
+    si.p, si.n, si.sh_frame.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
     if lights.points is not None:  # the radiance may be an attribute of the mesh
         si.shape = light.emitter.get_shape()
     return si, density
@@ -47,13 +47,23 @@ def place_on(
 
 
 def light_point(emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool) -> mi.SurfaceInteraction3f:
-    """A point of an emitter's shape."""
+    """A point of an emitter's shape. Both normals are on the side that emits; cosines and densities are of ``n``, and
+    the interpolated normal decides beside it where a mesh with vertex normals emits (:func:`facing`)."""
     shape = emitter.get_shape()  # None for some emitters: Dr.Jit traces the call for each emitter of the scene
     if shape is None:
         return dr.zeros(mi.SurfaceInteraction3f)
-    if varies(emitter):
-        return surface_point(shape, triangle, place, mask)
-    return uniform_point(shape, place, mask)
+    if not has_cells(emitter):
+        return uniform_point(shape, place, mask)
+    si = surface_point(shape, triangle, place, mask)
+    if is_smooth(emitter):
+        si.n = front(si)
+    return si
+
+
+def facing(emitter: mi.Emitter, si: mi.SurfaceInteraction3f, direction: mi.Vector3f, cos: mi.Float) -> mi.Vector3f:
+    """The local direction ``wi`` for which an emitter is evaluated at a :func:`light_point`, towards a world direction
+    with cosine ``cos`` to the face; emitters use its cosine only, that to the interpolated normal."""
+    return mi.Vector3f(0.0, 0.0, dr.dot(direction, si.sh_frame.n) if is_smooth(emitter) else cos)
 
 
 def of_next_event(light: Light, density: mi.Float) -> mi.Float:
