@@ -89,10 +89,8 @@ def room(name: str) -> Any:
 def _scene(name: str) -> tuple[Any, np.ndarray]:
     """A room, and its picture by hits alone."""
     problem = room(name)
-    if name in (
-        "rectangle",
-        "spot",
-    ):  # on other shapes Mitsuba draws points by a texture that it does not look up again
+    if name in ("rectangle", "spot"):
+        # On other shapes Mitsuba draws points by a texture that it does not look up again.
         return problem, mitsuba_path(problem, passes=6, samples=256)
     return problem, run(problem, "path", passes=6, samples=512, seed=77, mode="naive").images
 

@@ -17,6 +17,7 @@ from etendue.film import replacing
 
 from .builtin.table import BundledScene
 from .meshes import MeshDescription
+from .models.reading import is_model, model
 from .parsing import Size, give_types, read_properties, resize
 
 if TYPE_CHECKING:
@@ -204,6 +205,7 @@ def _described(
     from .loading import _parse
 
     found = _locate(source)
+    found = model(found) if is_model(found) else found
     writing: _Writing = {}
     if not isinstance(found, BundledScene):
         name, folders, _, state = _parse(found, parameters)

@@ -19,6 +19,7 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .editing import Change
+from .models.reading import SUFFIXES, is_model, model
 from .moving import Described, moved
 from .parsing import (
     Size,
@@ -57,15 +58,15 @@ def load(
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
-    ``source`` is the path of a Mitsuba XML file or the name of a bundled scene (see :func:`locate`), a
-    :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width, height) replaces the film's
-    size, and a crop window keeps its proportions; field of view and ``fov_axis`` have the same meaning as in a file
-    with that size (a loaded scene does not report its ``fov_axis``: its horizontal field of view is kept). A loaded
-    scene is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
-    ``parameters`` gives values to ``$variables`` of an XML file. ``memory`` limits what a method stores, in bytes. The
-    scene's integrator is reported, not built. Without ``check`` unsupported elements raise no error. ``change`` (such
-    as :class:`LightEdits`) changes the parsed scene before its objects are built; equivalent elements and meshes are
-    then not merged.
+    ``source`` is the path of a Mitsuba XML file or of a model (OBJ, glTF, PLY, STL, OFF), or the name of a bundled
+    scene (see :func:`locate`), a :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width,
+    height) replaces the film's size, and a crop window keeps its proportions; field of view and ``fov_axis`` have the
+    same meaning as in a file with that size (a loaded scene does not report its ``fov_axis``: its horizontal field of
+    view is kept). A loaded scene is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it,
+    except in loaded scenes. ``parameters`` gives values to ``$variables`` of an XML file. ``memory`` limits what a
+    method stores, in bytes. The scene's integrator is reported, not built. Without ``check`` unsupported elements
+    raise no error. ``change`` (such as :class:`LightEdits`) changes the parsed scene before its objects are built;
+    equivalent elements and meshes are then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -115,8 +116,10 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
     inner = path / _SCENE_FILE
     file = path if path.is_file() else inner if inner.is_file() else None
     if file is not None:
-        if file.suffix.lower() not in (".xml", ""):
-            raise SceneError(f"'{name}' is not a Mitsuba scene file; give an .xml file or a bundled scene")
+        if file.suffix.lower() not in (".xml", "", *SUFFIXES):
+            raise SceneError(
+                f"'{name}' is not a scene file; give Mitsuba's .xml, a model ({', '.join(SUFFIXES)}) or a bundled scene"
+            )
         if name in scenes:
             tell(f"'{name}' is read as the file {file}, not as the bundled scene")
         return file
@@ -153,6 +156,8 @@ def _parse(
     import mitsuba as mi
 
     name = "<dict>" if isinstance(source, Mapping) else str(source)
+    if is_model(source):
+        source = model(source)
     path = source if isinstance(source, Path) else None
     if path is None and parameters:
         raise OptionError(_NO_VARIABLES)

@@ -19,8 +19,9 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MeshDescription:
-    """A mesh of a bundled scene before it is built: (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3)
-    normals; ``emitter``: radiance of a mesh that is a light. A built mesh cannot be written as XML."""
+    """A mesh of a bundled scene or a model before it is built: (n, 3) points, (m, 3) faces and, for smooth shading,
+    (n, 3) normals; ``emitter``: radiance of a mesh that is a light; (n, 2) texture coordinates, with v down, and (n, 3)
+    values of the attribute ``vertex_color``. A built mesh cannot be written as XML."""
 
     name: str
     points: Points
@@ -28,6 +29,8 @@ class MeshDescription:
     bsdf: dict[str, Any]
     normals: Points | None = None
     emitter: dict[str, Any] | None = None
+    coordinates: Points | None = None
+    colours: Points | None = None
 
     def build(self) -> mi.Mesh:
         """The mesh with its material and light."""
@@ -54,13 +57,24 @@ class MeshDescription:
         import mitsuba as mi
 
         is_smooth = self.normals is not None
-        result = mi.Mesh(self.name, len(self.points), len(self.faces), has_vertex_normals=is_smooth, props=properties)
+        result = mi.Mesh(
+            self.name,
+            len(self.points),
+            len(self.faces),
+            has_vertex_normals=is_smooth,
+            has_vertex_texcoords=self.coordinates is not None,
+            props=properties,
+        )
         parameters = mi.traverse(result)
         parameters["vertex_positions"] = np.ascontiguousarray(self.points, np.float32).ravel()
         parameters["faces"] = np.ascontiguousarray(self.faces, np.uint32).ravel()
         if is_smooth:
             parameters["vertex_normals"] = np.ascontiguousarray(self.normals, np.float32).ravel()
+        if self.coordinates is not None:
+            parameters["vertex_texcoords"] = np.ascontiguousarray(self.coordinates, np.float32).ravel()
         parameters.update()
+        if self.colours is not None:
+            result.add_attribute("vertex_color", 3, np.ascontiguousarray(self.colours, np.float32).ravel())
         return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -18,6 +19,8 @@ from etendue.core import SceneError, use_variant
 
 from .builtin.table import BundledScene, bundled_scene
 from .loading import Source, _is_loaded, _parse, _resolving, locate
+from .meshes import MeshDescription
+from .models.reading import is_model, model
 from .parsing import read_properties
 
 if TYPE_CHECKING:
@@ -49,6 +52,8 @@ def portable(source: Source, parameters: Mapping[str, Any] | None = None) -> Por
     found = locate(source, lambda _: None) if isinstance(source, (str, os.PathLike)) else source
     if isinstance(found, BundledScene):
         return PortableScene({"bundled": found.name})
+    if is_model(found):
+        return _of_dictionary(model(found).describe())
     return _of_file(found, parameters or {}) if isinstance(found, Path) else _of_dictionary(found)
 
 
@@ -169,6 +174,9 @@ def _encoded(value: Any, result: PortableScene, where: str) -> Any:
         return value.item()
     if isinstance(value, np.ndarray):
         return {_KIND: "ndarray", "array": array(value)}
+    if isinstance(value, MeshDescription):
+        fields = {part.name: getattr(value, part.name) for part in dataclasses.fields(value)}
+        return {_KIND: "MeshDescription", "fields": _encoded(fields, result, where)}
     if isinstance(value, mi.Bitmap):
         kept = {"pixel_format": value.pixel_format().name, "srgb_gamma": bool(value.srgb_gamma())}
         return {_KIND: "Bitmap", "array": array(value), **kept}
@@ -198,6 +206,8 @@ def _decoded(value: Any, arrays: Mapping[str, NDArray[Any]], moved: Mapping[str,
         return value
     if _KIND not in value:
         return {k: _decoded(v, arrays, moved) for k, v in value.items()}
+    if value[_KIND] == "MeshDescription":
+        return MeshDescription(**_decoded(value["fields"], arrays, moved)).build()
     kind, array = value[_KIND], np.ascontiguousarray(arrays[value["array"]])
     if kind == "ndarray":
         return array

@@ -1,0 +1,1 @@
+"""Model files as scenes: OBJ with MTL, glTF, PLY, STL and OFF, read by trimesh."""

@@ -1,0 +1,155 @@
+"""A model file as a scene: its surfaces with the nearest materials of Mitsuba, its cameras and its lights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import SceneError, library, logger
+
+from ..builtin.table import BundledScene
+from ..meshes import MeshDescription
+from . import materials, punctual
+
+#: Suffixes of model files.
+SUFFIXES = (".obj", ".gltf", ".glb", ".ply", ".stl", ".off")
+
+_GLTF = (".gltf", ".glb")
+#: Where a model without a camera is seen from, as a multiple of its radius, and the angle of the picture.
+_VIEW, _FOV = np.array([0.9, 0.7, 2.2]), 40.0
+#: The direction towards the sun of a model without light.
+_SUN = np.array([-0.8, 1.0, 0.5])
+
+
+def is_model(source: Any) -> bool:
+    """Whether a scene is a model file, by its suffix."""
+    return isinstance(source, Path) and source.suffix.lower() in SUFFIXES
+
+
+def model(path: Path) -> BundledScene:
+    """A model file as a scene that is described on request."""
+    return BundledScene(str(path), f"the model {path.name}", lambda: _described(path))
+
+
+def _described(path: Path) -> dict[str, Any]:
+    """The scene dictionary of a model. Surfaces without material are grey; a model without camera is seen from above
+    its front, and one without light has a white sky, and a line of the log says so.
+
+    Raises :class:`SceneError` for a file that cannot be read or has no faces.
+    """
+    trimesh = library("trimesh", f"reading {path}", "models")
+    try:
+        loaded = trimesh.load_scene(path, process=False)
+    except Exception as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise SceneError(f"{path} cannot be read as a model: {text}; export it again") from error
+    surfaces = [getattr(mesh, "visual", None) for mesh in loaded.geometry.values()]
+    _check_files(path, {str(visual.material.name) for visual in surfaces if hasattr(visual, "material")})
+    found = punctual.description(path) if path.suffix.lower() in _GLTF else {}
+    raw = {str(m.get("name")): m for m in found.get("materials", [])}
+    scene: dict[str, Any] = {"type": "scene"}
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for number, node in enumerate(loaded.graph.nodes_geometry):
+        matrix, geometry = loaded.graph[node]
+        mesh = loaded.geometry[geometry]
+        faces = np.asarray(getattr(mesh, "faces", ()), np.int64)  # curves and clouds of points have none
+        if not len(faces):
+            logger.warning(f"{path}: '{node}' has no faces; it is left out")
+            continue
+        described = _mesh(f"{_word(node)}-{number}", mesh, faces, np.asarray(matrix, np.float64), raw)
+        scene[described.name] = described
+        low, high = np.minimum(low, described.points.min(0)), np.maximum(high, described.points.max(0))
+    if len(scene) == 1:
+        raise SceneError(f"{path} has no faces, so there is nothing to render; export its surfaces")
+    for number, light in enumerate(punctual.lights(found)):
+        scene[f"light-{number}"] = light
+    if not any("light-" in name or getattr(item, "emitter", None) for name, item in scene.items()):
+        logger.warning(f"{path} has no light: a white sky and a sun above its left light it")
+        scene["sky"] = {"type": "constant", "radiance": 0.5}
+        scene["sun"] = {"type": "directional", "irradiance": 2.0, "direction": (-_turned(_SUN, path)).tolist()}
+    sensors = list(punctual.cameras(found))
+    if not sensors:
+        logger.warning(f"{path} has no camera: it is seen from above its front")
+        sensors = [_seen_whole(low, high, path)]
+    for number, sensor in enumerate(sensors):
+        scene[f"sensor-{number}"] = sensor | {"film": {"type": "hdrfilm", "width": 768, "height": 576}}
+    return scene
+
+
+def _check_files(path: Path, used: set[str]) -> None:
+    """Raise :class:`SceneError` if an OBJ file or one of the ``used`` materials names a file that is not there: trimesh
+    ignores it."""
+    if path.suffix.lower() != ".obj":
+        return
+    libraries = [path.with_name(name) for key, name in _statements(path) if key == "mtllib"]
+    named, material = list(libraries), ""
+    for key, name in (line for file in libraries if file.is_file() for line in _statements(file)):
+        if key == "newmtl":
+            material = name
+        elif key == "map_kd" and material in used:
+            named.append(path.with_name(name))
+    for file in named:
+        if not file.is_file():
+            raise SceneError(f"{path} names {file.name}, which is not in its folder; put it there, or remove its line")
+
+
+def _statements(path: Path) -> Iterator[tuple[str, str]]:
+    """Key and argument of the lines of an OBJ or MTL file that name something."""
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            key, _, name = line.strip().partition(" ")
+            if key.lower() in ("mtllib", "newmtl", "map_kd"):
+                yield key.lower(), name.strip()
+
+
+def _mesh(
+    name: str, mesh: Any, faces: NDArray[np.int64], matrix: NDArray[np.float64], raw: dict[str, Any]
+) -> MeshDescription:
+    points = np.asarray(mesh.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    normals = None
+    if "vertex_normals" in mesh._cache:  # of the file; otherwise trimesh would compute them
+        normals = np.asarray(mesh.vertex_normals, np.float64) @ np.linalg.inv(matrix[:3, :3])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / np.where(length > 0.0, length, 1.0)
+    if np.linalg.det(matrix[:3, :3]) < 0.0:  # a mirrored node: its front remains outside
+        faces = faces[:, ::-1]
+    visual, bsdf, emitted, colours = mesh.visual, materials.PLAIN, None, None
+    material = getattr(visual, "material", None)
+    coordinates = getattr(visual, "uv", None)
+    if type(material).__name__ == "PBRMaterial":
+        bsdf, emitted = materials.of_gltf(material, raw.get(str(material.name), {}))
+    elif material is not None and material.kwargs:
+        bsdf, emitted = materials.of_mtl(material)
+    elif getattr(visual, "kind", None) == "vertex":
+        colours = np.asarray(visual.vertex_colors, np.float64)[:, :3] / 255.0
+        bsdf = materials.of_vertices()
+    if coordinates is not None:
+        coordinates = np.asarray(coordinates, np.float64) * (1.0, -1.0) + (0.0, 1.0)  # Mitsuba's v points down
+    return MeshDescription(name, points, faces, bsdf, normals, emitted, coordinates, colours)
+
+
+def _turned(direction: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+    """A direction with y up as one of a file: in STL z is up."""
+    x, y, z = direction
+    return np.array([x, -z, y]) if path.suffix.lower() == ".stl" else direction
+
+
+def _seen_whole(low: NDArray[np.float64], high: NDArray[np.float64], path: Path) -> dict[str, Any]:
+    """A camera that sees a whole box."""
+    import mitsuba as mi
+
+    centre, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-6)
+    towards, up = _turned(_VIEW / np.linalg.norm(_VIEW), path), _turned(np.array([0.0, 1.0, 0.0]), path)
+    distance = 1.05 * radius / np.sin(np.deg2rad(0.5 * _FOV))
+    place = mi.ScalarTransform4d().look_at((centre + distance * towards).tolist(), centre.tolist(), up.tolist())
+    clip = {"near_clip": 1e-3 * distance, "far_clip": 1e3 * distance}
+    return {"type": "perspective", "fov": _FOV, "fov_axis": "smaller", "to_world": place} | clip
+
+
+def _word(name: str) -> str:
+    """A name without the characters that have a meaning in Mitsuba's ids."""
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in str(name)) or "mesh"

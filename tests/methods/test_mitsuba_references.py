@@ -1,0 +1,51 @@
+"""Mitsuba's own render tests: scenes with the mean and variance of long renderings by Mitsuba, and its Z-test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from conftest import SCENES
+from scipy import stats
+
+import etendue
+from etendue.core import SceneError
+
+#: Samples of a picture, over all pixels.
+SAMPLES = 500_000
+#: Mitsuba's level, at which one pixel of a picture is called different, and the share of values that have to agree.
+LEVEL, AGREEING = 0.01, 0.9975
+FOLDER = SCENES / "mitsuba-data" / "tests" / "scenes"
+#: Scenes are named after the integrator of the reference; those of participating media are not supported.
+FILES = [file for file in sorted(FOLDER.glob("*/*.xml")) if not file.stem.endswith(("volpath", "volpathmis"))]
+
+
+def _xyz(picture: mi.Bitmap) -> np.ndarray:
+    return np.array(picture.convert(mi.Bitmap.PixelFormat.XYZ, mi.Struct.Type.Float32, False))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["own", "bpt", "vcm"])
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_mitsuba_s_references(file: Path, method: str) -> None:
+    name, integrator = file.stem.rsplit("_", 1)
+    reference, variance = (
+        _xyz(mi.Bitmap(str(file.parent / "refs" / f"{name}_ref_rgb{part}.exr"))) for part in ("", "_var")
+    )
+    pixels = reference.shape[0] * reference.shape[1]
+    samples = SAMPLES // pixels
+    depth = {"max_depth": 2} if integrator == "direct" else {}
+    if method == "own":
+        method = "light" if integrator == "ptracer" else "path"
+    try:
+        result = etendue.render(str(file), method, samples=samples, seed=1, **depth)
+    except SceneError as error:
+        if "file does not exist" in str(error):
+            pytest.skip(str(error))
+        raise
+    image = _xyz(mi.Bitmap(np.ascontiguousarray(result.image[..., :3], np.float32)))
+    z = np.abs(image - reference) * np.sqrt(samples / np.maximum(variance, 1e-4))
+    differ = 2.0 * stats.norm.sf(z) <= 1.0 - (1.0 - LEVEL) ** (1.0 / pixels)
+    assert differ.mean() <= 1.0 - AGREEING, f"{differ.mean():.4f} of the values differ, mean {image.mean()}"

@@ -1,0 +1,259 @@
+"""Model files as scenes: against the same scenes described to Mitsuba, and their errors."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections import defaultdict
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from PIL import Image
+from support import scenes
+from support.running import run
+from support.statistics import assert_agree
+
+from etendue.core import SceneError
+from etendue.scene import load, portable, restored, scene_xml
+from etendue.scene.graph import below, contents, plugin_name
+
+FLOOR = np.array([[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0]])
+LAMP = np.array([[-0.4, 1.5, -0.3], [0.2, 1.5, -0.3], [0.2, 1.5, 0.5], [-0.4, 1.5, 0.5]])
+QUAD = [[0, 1, 2], [0, 2, 3]]
+SIZE = (24, 18)
+PICTURE = np.array([[[230, 40, 40], [40, 200, 40]], [[40, 40, 220], [200, 200, 60]]], np.uint8)
+
+MTL = """newmtl floor
+Kd 0.6 0.4 0.2
+Ks 0 0 0
+newmtl lamp
+Kd 0 0 0
+Ks 0 0 0
+Ke 9 8 7
+newmtl glass
+Kd 1 1 1
+Ni 1.4
+d 0.2
+illum 7
+newmtl varnish
+Kd 0.3 0.3 0.3
+Ks 0.5 0.5 0.5
+Ns 198
+illum 2
+newmtl veil
+Kd 0.3 0.3 0.3
+d 0.25
+illum 1
+newmtl picture
+Kd 1 1 1
+map_Kd picture.png
+illum 1
+"""
+
+
+def obj(folder, materials=("floor", "lamp"), mtl=MTL):
+    """The floor and the lamp as quadrilaterals, other materials on the floor's."""
+    lines = ["mtllib room.mtl"]
+    for points in (FLOOR, LAMP):
+        lines += ["v " + " ".join(map(str, point)) for point in points]
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    for number, name in enumerate(materials):
+        first = 5 if name == "lamp" else 1
+        lines += [f"usemtl {name}", f"o part{number}"]
+        lines.append("f " + " ".join(f"{first + k}/{k + 1}" for k in range(4)))
+    (folder / "room.mtl").write_text(mtl)
+    (folder / "room.obj").write_text("\n".join(lines) + "\n")
+    return folder / "room.obj"
+
+
+def described(sensor):
+    """The same scene by a dictionary."""
+    floor = {"type": "twosided", "nested": scenes.diffuse(0.6, 0.4, 0.2)}
+    dark = {"type": "twosided", "nested": scenes.diffuse(0.0, 0.0, 0.0)}
+    return {
+        "type": "scene",
+        "sensor": sensor,
+        "floor": scenes.mesh(FLOOR, np.array(QUAD), floor),
+        "lamp": scenes.mesh(LAMP, np.array(QUAD), dark, emitter=scenes._area(9, 8, 7)),
+    }
+
+
+def gltf(folder, nodes, materials=(), **more):
+    """A file with the mesh of the floor, once for each material, under ``nodes``."""
+    data = FLOOR.astype(np.float32).tobytes() + np.array(QUAD, np.uint16).tobytes()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    corners = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}
+    corners |= {"min": FLOOR.min(0).tolist(), "max": FLOOR.max(0).tolist()}
+    file = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes,
+        "materials": list(materials),
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0}, "indices": 1} | ({"material": k} if materials else {})]}
+            for k in range(max(len(materials), 1))
+        ],
+        "buffers": [{"byteLength": len(data), "uri": uri}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": 48, "target": 34962},
+            {"buffer": 0, "byteOffset": 48, "byteLength": 12, "target": 34963},
+        ],
+        "accessors": [corners, {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}],
+    } | more
+    (folder / "room.gltf").write_text(json.dumps(file))
+    return folder / "room.gltf"
+
+
+def material(problem, name=""):
+    """The parameters of all objects of a scene's material, those of equal names together."""
+    shape = next(s for s in problem.scene.shapes() if name in s.id())
+    found = defaultdict(list)
+    for node in below(shape.bsdf()):
+        for key, value in contents(node).values:
+            found[f"{plugin_name(node)}.{key}"] += np.array(value).ravel().tolist()
+    return found
+
+
+def test_obj_with_materials(tmp_path):
+    sensor = scenes.camera((0.5, 2.0, 3.0), (0.0, 0.3, 0.0), 40.0)
+    ours = load(obj(tmp_path), size=SIZE)
+    assert len(ours.scene.shapes()) == 2 and len(ours.scene.emitters()) == 1
+    problem = load(described(ours.sensor), size=SIZE)
+    assert_agree(run(ours, "path", passes=6, samples=64).images, run(problem, "path", passes=6, samples=64).images)
+    assert sensor
+
+
+def test_materials_of_mtl(tmp_path):
+    Image.fromarray(PICTURE).save(tmp_path / "picture.png")
+    problem = load(obj(tmp_path, ("lamp", "glass", "varnish", "veil", "picture")), size=SIZE)
+    assert material(problem, "glass")["dielectric.eta"] == pytest.approx([1.4], rel=1e-3)
+    assert material(problem, "varnish")["roughplastic.alpha"] == pytest.approx([0.1])
+    assert material(problem, "veil")["uniformspectrum.value"] == pytest.approx([0.25])
+    assert len(material(problem, "picture")["bitmap.data"]) == PICTURE.size
+
+
+def test_texture_coordinates_of_obj(tmp_path):
+    """The first row of a picture is at the top, where v is 1."""
+    Image.fromarray(PICTURE).save(tmp_path / "picture.png")
+    problem = load(obj(tmp_path, ("picture", "lamp")), size=SIZE)
+    shape = next(s for s in problem.scene.shapes() if "picture" in s.id())
+    ray = mi.Ray3f(mi.Point3f([-0.5, 0.5, 0.5], 1.0, [-0.5, -0.5, 0.5]), mi.Vector3f(0.0, -1.0, 0.0))
+    seen = np.array(shape.bsdf().eval_diffuse_reflectance(problem.scene.ray_intersect(ray))).T
+    # vt 0 0 is at (-1, -1), vt 1 0 at (-1, 1), vt 1 1 at (1, 1): the lower left, upper left and upper right texel.
+    assert seen.argmax(1).tolist() == [2, 0, 1]
+
+
+def test_gltf_camera_lights_and_materials(tmp_path):
+    """A node with a rotation, a camera with a matrix, three lights."""
+    turned = {"rotation": [0.0, np.sin(0.2), 0.0, np.cos(0.2)], "translation": [0.1, 0.0, 0.0], "scale": [1, 1, 0.8]}
+    eye = np.array(mi.ScalarTransform4d().look_at([0.5, 2.0, 3.0], [0.2, 0.0, 0.0], [0.0, 1.0, 0.0]).matrix)
+    eye = eye @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    lights = [
+        {"type": "point", "intensity": 5.0, "color": [1.0, 0.5, 0.25]},
+        {"type": "spot", "intensity": 20.0, "spot": {"outerConeAngle": 0.5, "innerConeAngle": 0.3}},
+        {"type": "directional", "intensity": 0.5},
+    ]
+    down = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # -z becomes -y
+    nodes = [
+        {"children": [1, 2, 3, 4, 5], **{"translation": [0.0, 0.5, 0.0]}},
+        {"mesh": 0} | turned,
+        {"camera": 0, "matrix": eye.T.ravel().tolist()},
+        *(
+            {"translation": [0.3, 1.0 + k, 0.2], "rotation": down, "extensions": {"KHR_lights_punctual": {"light": k}}}
+            for k in range(3)
+        ),
+    ]
+    matte = {"name": "matte", "pbrMetallicRoughness": {"baseColorFactor": [0.6, 0.4, 0.2, 1], "metallicFactor": 0.0}}
+    lens = {"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1, "aspectRatio": 1.0}}
+    extensions = {"KHR_lights_punctual": {"lights": lights}}
+    ours = load(gltf(tmp_path, nodes, [matte], cameras=[lens], extensions=extensions), size=SIZE)
+
+    def up(*place):
+        return scenes.transform().translate([0.0, 0.5, 0.0]) @ scenes.transform().translate(list(place))
+
+    place = up(0.1, 0.0, 0.0).rotate([0, 1, 0], np.rad2deg(0.4)).scale([1, 1, 0.8])
+    points = FLOOR @ np.array(place.matrix)[:3, :3].T + np.array(place.matrix)[:3, 3]
+    principled = {"type": "principled", "roughness": 1.0, "base_color": scenes.rgb(0.6, 0.4, 0.2)}
+    facing = {"rotate": ([1, 0, 0], 90)}
+    to_floor = [up(0.3, 1.0 + k, 0.2).rotate(*facing["rotate"]) for k in range(3)]
+    camera = mi.ScalarTransform4f().look_at([0.5, 2.5, 3.0], [0.2, 0.5, 0.0], [0.0, 1.0, 0.0])
+    expected = load(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective", "fov": np.rad2deg(0.6), "fov_axis": "y", "to_world": camera},
+            "floor": scenes.mesh(points, np.array(QUAD), {"type": "twosided", "nested": principled}),
+            "point": {"type": "point", "position": [0.3, 1.5, 0.2], "intensity": scenes.rgb(5.0, 2.5, 1.25)},
+            "spot": {"type": "spot", "to_world": to_floor[1], "intensity": 20.0}
+            | {"cutoff_angle": np.rad2deg(0.5), "beam_width": np.rad2deg(0.3)},
+            "sun": {"type": "directional", "to_world": to_floor[2], "irradiance": 0.5},
+        },
+        size=SIZE,
+    )
+    images = [run(problem, "path", passes=6, samples=64).images for problem in (ours, expected)]
+    assert_agree(*images)
+
+
+def test_materials_of_gltf(tmp_path):
+    extensions = {
+        "KHR_materials_emissive_strength": {"emissiveStrength": 7.0},
+        "KHR_materials_transmission": {"transmissionFactor": 0.9},
+        "KHR_materials_ior": {"ior": 1.3},
+    }
+    rough = {"metallicFactor": 0.25, "roughnessFactor": 0.35, "baseColorFactor": [0.123456, 0.5, 1, 0.5]}
+    described = {"name": "all", "emissiveFactor": [1.0, 0.5, 0.0], "extensions": extensions, "alphaMode": "BLEND"}
+    described["pbrMetallicRoughness"] = rough
+    problem = load(gltf(tmp_path, [{"mesh": 0}], [described]), size=SIZE)
+    found = material(problem)
+    assert found["principled.eta"] == pytest.approx([1.3])
+    assert {0.35, 0.25, 0.9, 0.5} <= {round(value, 5) for value in found["uniformspectrum.value"]}
+    assert found["srgbreflectancespectrum.value"] == pytest.approx([0.123456, 0.5, 1.0])
+    radiance = dict(contents(problem.scene.emitters()[0]).objects)["radiance"]
+    assert np.array(contents(radiance).values[0][1]).ravel() == pytest.approx([7.0, 3.5, 0.0])
+
+
+def test_a_model_without_camera_and_light(tmp_path, caplog):
+    problem = load(obj(tmp_path, ("floor",)), size=SIZE)
+    assert "no camera" in caplog.text and "no light" in caplog.text
+    picture = run(problem, "path", passes=1, samples=16).mean
+    sun = 2.0 / np.pi / np.sqrt(1.0 + 0.8**2 + 0.5**2)
+    floor = np.array([0.6, 0.4, 0.2]) * (0.5 + sun)
+    assert picture[SIZE[1] // 2, SIZE[0] // 2] == pytest.approx(floor, rel=0.01)
+    assert picture[0, 0] == pytest.approx(0.5)
+
+
+def test_a_model_is_sent_to_workers_and_written_as_xml(tmp_path):
+    Image.fromarray(PICTURE).save(tmp_path / "picture.png")
+    path = obj(tmp_path, ("picture", "lamp"))
+    expected = run(load(path, size=SIZE), "path", passes=1, samples=4).mean
+    source, parameters = restored(portable(path), tmp_path)
+    assert (run(load(source, size=SIZE, parameters=parameters), "path", passes=1, samples=4).mean == expected).all()
+    (tmp_path / "copy.xml").write_text(scene_xml(path, folder=tmp_path / "parts"))
+    copy = run(load(tmp_path / "copy.xml", size=SIZE), "path", passes=1, samples=4).mean
+    np.testing.assert_allclose(copy, expected, atol=1e-4)
+
+
+def test_files_that_are_missing(tmp_path):
+    path = obj(tmp_path, ("picture", "lamp"))
+    with pytest.raises(SceneError, match=r"names picture\.png, which is not in its folder"):
+        load(path)
+    (tmp_path / "room.mtl").unlink()
+    with pytest.raises(SceneError, match=r"names room\.mtl"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.obj", "", "has no faces|cannot be read"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no faces|cannot be read"),
+        ("broken.glb", "glTF", "cannot be read"),
+        ("broken.gltf", "{}", "cannot be read|has no faces"),
+        ("broken.ply", "ply\n", "cannot be read"),
+    ],
+)
+def test_broken_models(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(SceneError, match=message):
+        load(tmp_path / name)
