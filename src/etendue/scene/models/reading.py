@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ _VIEW, _FOV = np.array([0.9, 0.7, 2.2]), 40.0
 _SUN = np.array([-0.8, 1.0, 0.5])
 
 
-def is_model(source: Any) -> bool:
+def is_model(source: Any) -> TypeGuard[Path]:
     """Whether a scene is a model file, by its suffix."""
     return isinstance(source, Path) and source.suffix.lower() in SUFFIXES
 
@@ -47,7 +47,7 @@ def _described(path: Path) -> dict[str, Any]:
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise SceneError(f"{path} cannot be read as a model: {text}; export it again") from error
-    surfaces = [getattr(mesh, "visual", None) for mesh in loaded.geometry.values()]
+    surfaces: list[Any] = [getattr(mesh, "visual", None) for mesh in loaded.geometry.values()]
     _check_files(path, {str(visual.material.name) for visual in surfaces if hasattr(visual, "material")})
     found = punctual.description(path) if path.suffix.lower() in _GLTF else {}
     raw = {str(m.get("name")): m for m in found.get("materials", [])}
@@ -118,7 +118,7 @@ def _mesh(
     if np.linalg.det(matrix[:3, :3]) < 0.0:  # a mirrored node: its front remains outside
         faces = faces[:, ::-1]
     visual, bsdf, emitted, colours = mesh.visual, materials.PLAIN, None, None
-    material = getattr(visual, "material", None)
+    material: Any = getattr(visual, "material", None)
     coordinates = getattr(visual, "uv", None)
     if type(material).__name__ == "PBRMaterial":
         bsdf, emitted = materials.of_gltf(material, raw.get(str(material.name), {}))
