@@ -12,6 +12,7 @@ from .graph import materials
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
+from .members import Material, Members, bsdfs
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
@@ -29,6 +30,8 @@ __all__ = [
     "Light",
     "LightEdits",
     "LightTable",
+    "Material",
+    "Members",
     "ParameterChanges",
     "Parameters",
     "PortableScene",
@@ -38,6 +41,7 @@ __all__ = [
     "SceneParameter",
     "Source",
     "add_plugin",
+    "bsdfs",
     "bundled",
     "bundled_scene",
     "check",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from etendue.core import on_device
+
+from .graph import shapes
 
 
 class Members:
@@ -52,3 +55,27 @@ class Members:
 
     def _object(self, number: int) -> mi.Object:
         return dr.reinterpret_array(self._kind, mi.UInt32(int(number)))[0]
+
+
+@dataclass
+class Material:
+    """The material of a surface point of a scene, one lane each."""
+
+    pointer: mi.BSDFPtr
+    of_scene: Members  #: see :func:`bsdfs`
+
+    def flags(self) -> mi.UInt32:
+        """``mi.BSDFFlags``."""
+        return self.pointer.flags()
+
+    def call(self, function: Callable[..., Any], *arguments: Any, active: mi.Bool | bool = True) -> Any:
+        """``function(bsdf, *arguments, active)``; zero where not active, and where there is no material."""
+        key = dr.reinterpret_array(mi.UInt32, self.pointer)
+        return self.of_scene.call(key, function, *arguments, active=mi.Bool(active))
+
+
+def bsdfs(scene: mi.Scene) -> Members:
+    """The BSDFs of a scene's shapes. Those inside other BSDFs are left out, because no ray finds them by pointer."""
+    own = [shape.bsdf() for shape in shapes(scene)]
+    ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own if bsdf is not None}
+    return Members(mi.BSDFPtr, sorted(ids), sorted(ids))

@@ -75,13 +75,14 @@ class Light:
         self, kind: str, it: mi.Interaction3f, u: mi.Point2f, active: mi.Bool
     ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
         """The emitter's own ``sample_direction``; arguments as of :meth:`call`."""
-        return self.call(kind, lambda emitter, it, u, active: emitter.sample_direction(it, u, active), it, u, active=active)
+        ds, weight = self.call(kind, mi.Emitter.sample_direction, it, u, active=active)
+        return ds, weight
 
     def radiance(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
         """Radiance that the emitter sends from ``si`` into the direction ``si.wi``."""
         if not self.emitters["visible"]:
             return mi.Color3f(0.0)
-        return self.call("visible", lambda emitter, si, active: emitter.eval(si, active), si, active=active)
+        return self.call("visible", mi.Emitter.eval, si, active=active)
 
     def direction_pdf(self, cos: mi.Float) -> mi.Float:
         """Solid-angle density with which an area emitter's ray leaves at ``cos`` to the normal."""
