@@ -6,13 +6,14 @@ from .camera import MOVABLE, Camera
 from .capability import check
 from .changes.edits import ParameterChanges, name_elements
 from .changes.parameters import SceneEditor, SceneParameter
+from .changes.watching import Parameters, parameters, view
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
-from .members import Material, Members, bsdfs
+from .members import Material, Members, bsdfs, emitters
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
@@ -20,7 +21,6 @@ from .portable import PortableScene, portable, restored
 from .problem import Problem
 from .resizing import resized
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
-from .watching import Parameters, parameters, view
 
 __all__ = [
     "MOVABLE",
@@ -49,6 +49,7 @@ __all__ = [
     "colour",
     "composed_bsdf",
     "described_lights",
+    "emitters",
     "fingerprint",
     "graph",
     "integrator_of",

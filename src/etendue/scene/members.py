@@ -51,7 +51,9 @@ class Members:
         if len(self) > 1:
             targets = [partial(function, self._object(number)) for number in self._ids]
             return dr.switch(place, targets, *arguments, active & (place < len(self)))
-        return dr.switch(mi.UInt32(0), [partial(function, self._object(self._ids[0]))], *arguments, active & (place < 1))
+        return dr.switch(
+            mi.UInt32(0), [partial(function, self._object(self._ids[0]))], *arguments, active & (place < 1)
+        )
 
     def _object(self, number: int) -> mi.Object:
         return dr.reinterpret_array(self._kind, mi.UInt32(int(number)))[0]
@@ -74,8 +76,15 @@ class Material:
         return self.of_scene.call(key, function, *arguments, active=mi.Bool(active))
 
 
+def emitters(scene: mi.Scene) -> Members:
+    """The emitters of a scene by their pointers."""
+    ids = np.asarray(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
+    return Members(mi.EmitterPtr, ids, ids)
+
+
 def bsdfs(scene: mi.Scene) -> Members:
-    """The BSDFs of a scene's shapes. Those inside other BSDFs are left out, because no ray finds them by pointer."""
+    """The BSDFs of a scene's shapes by their pointers. Those inside other BSDFs are left out: no ray
+    finds them."""
     own = [shape.bsdf() for shape in shapes(scene)]
     ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own if bsdf is not None}
     return Members(mi.BSDFPtr, sorted(ids), sorted(ids))

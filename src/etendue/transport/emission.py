@@ -337,7 +337,9 @@ def emission_of_hit(
         ds = dr.zeros(mi.DirectionSample3f)
         ds.d = -si.wi
         reference = dr.zeros(mi.Interaction3f)
-        direction_density = light.pick * light.call("infinite", mi.Emitter.pdf_direction, reference, ds, active=infinite)
+        direction_density = light.pick * light.call(
+            "infinite", mi.Emitter.pdf_direction, reference, ds, active=infinite
+        )
         area_density = dr.select(infinite, direction_density, area_density)
         by_disc = of_emission(light, direction_density * light.area_density)
         emission_density = dr.select(infinite, by_disc, emission_density)

@@ -89,11 +89,8 @@ def reflected_by(
     if kernel != "uniform":
         weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
     si = vertex.si
-
-    def evaluated(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
-        return bsdf.eval(mi.BSDFContext(), si, wo, active)
-
-    value = p.fluence * vertex.bsdf.call(evaluated, si, si.to_local(p.direction), active=active)
+    arguments = mi.BSDFContext(), si, si.to_local(p.direction)
+    value = p.fluence * vertex.bsdf.call(mi.BSDF.eval, *arguments, active=active)
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 

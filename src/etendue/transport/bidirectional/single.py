@@ -176,7 +176,8 @@ class _Stop:
             s.throughput = s.throughput * dr.select(both, 2.0, 1.0)
             crossed = {
                 "ray": vertex.ray(vertex.incoming),
-                "throughput": s.throughput * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=crossing),
+                "throughput": s.throughput
+                * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=crossing),
                 "d_vcm": on_edge[0],
                 "d_vc": on_edge[1],
                 "depth": s.depth + 1,
