@@ -12,6 +12,8 @@ from etendue.core import IndependentSource
 from etendue.scene import LightTable, Problem
 from etendue.transport import emit, scatter_light
 
+from .scenes import material
+
 
 def independent(
     problem: Problem, paths: int, seed: int, longest: int, emission: Any = emit, source: Any = None, bounces: Any = None
@@ -34,7 +36,7 @@ def independent(
         shapes.append([numbers.get(i, 0) for i in ids])
         fluxes.append(np.array(dr.select(active, flux, 0.0)).T)
         places.append(np.array(si.p).T)
-        scattered, _ = scatter_light(si.bsdf(ray), si, source, mi.UInt32(edge), active)
+        scattered, _ = scatter_light(material(scene, si, ray), si, source, mi.UInt32(edge), active)
         if bounces is not None:
             bounces.append(bounce)
             bounce = bounce + ~np.array(scattered.is_null & active)

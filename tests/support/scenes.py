@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import Problem, load
+from etendue.scene import Material, Problem, bsdfs, load
 
 Dict = dict[str, Any]
 SIZE = (16, 12)
@@ -352,3 +352,8 @@ def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8)) -> Pro
         },
     }
     return load(scene)
+
+
+def material(scene: Any, si: Any, ray: Any = None) -> Material:
+    """The materials at surface points of a scene, as the functions of scattering take them."""
+    return Material(si.bsdf() if ray is None else si.bsdf(ray), bsdfs(scene))

@@ -70,8 +70,9 @@ def learned(share: float = 0.5) -> Guide:
     return guide
 
 
-def scattered_by(guide: Guide, si: Any, *arguments: Any) -> Any:
-    return guide.scatter(guide.locate(si, si.is_valid()), scatter_camera, si.bsdf(), si, *arguments)
+def scattered_by(guide: Guide, scene: Any, si: Any, *arguments: Any) -> Any:
+    bsdf = scenes.material(scene, si)
+    return guide.scatter(guide.locate(si, si.is_valid()), scatter_camera, bsdf, si, *arguments)
 
 
 def surface(material: str, lanes: int = 1) -> tuple[Any, Any]:
@@ -86,8 +87,8 @@ def test_directions_follow_the_density_that_is_claimed(material, scatter):
     """Of scattered directions in each part of the square: the mean of 1 / p is its solid angle, and where light points
     ask for it the density is the same one."""
     guide = learned()
-    _scene, si = surface(material, N)
-    bsdf = si.bsdf()
+    scene, si = surface(material, N)
+    bsdf = scenes.material(scene, si)
     toward = direction_of(uniform_square())
     active = dr.full(mi.Bool, True, N)
     scattered, (towards,) = guide.scatter(
@@ -119,10 +120,10 @@ def test_directions_follow_the_density_that_is_claimed(material, scatter):
 
 def test_the_density_integrates_to_one():
     guide = learned(share=0.7)
-    _scene, si = surface("diffuse", N)
+    scene, si = surface("diffuse", N)
     active = dr.full(mi.Bool, True, N)
     wo = si.to_local(direction_of(uniform_square()))
-    _, (towards,) = scattered_by(guide, si, source(), mi.UInt32(1), active, [(wo, active)])
+    _, (towards,) = scattered_by(guide, scene, si, source(), mi.UInt32(1), active, [(wo, active)])
     assert_mean(4.0 * np.pi * np.asarray(towards.pdf, np.float64), 1.0)
 
 
@@ -130,9 +131,9 @@ def test_delta_scattering_stays_with_the_bsdf():
     guide = learned()
     active = dr.full(mi.Bool, True, 1000)
     for material in ("conductor", "dielectric"):
-        _scene, si = surface(material, 1000)
-        plain, _ = scatter_camera(si.bsdf(), si, source(n=1000), mi.UInt32(1), active)
-        mine, _ = scattered_by(guide, si, source(n=1000), mi.UInt32(1), active)
+        scene, si = surface(material, 1000)
+        plain, _ = scatter_camera(scenes.material(scene, si), si, source(n=1000), mi.UInt32(1), active)
+        mine, _ = scattered_by(guide, scene, si, source(n=1000), mi.UInt32(1), active)
         np.testing.assert_array_equal(np.asarray(mine.weight), np.asarray(plain.weight))
         np.testing.assert_array_equal(np.asarray(mine.direction), np.asarray(plain.direction))
         assert (np.asarray(mine.place) == NOWHERE).all()
@@ -141,7 +142,7 @@ def test_delta_scattering_stays_with_the_bsdf():
 def test_a_smooth_and_a_delta_component_share_what_the_guide_leaves():
     """Energy of each component over all directions is that of the BSDF alone."""
     guide = learned()
-    _scene, si = surface("plastic", N)
+    scene, si = surface("plastic", N)
     active = dr.full(mi.Bool, True, N)
 
     def energies(scattered: Any) -> list[np.ndarray]:
@@ -149,8 +150,8 @@ def test_a_smooth_and_a_delta_component_share_what_the_guide_leaves():
         delta = np.asarray(scattered.is_delta)
         return [np.where(delta, weight, 0.0), np.where(delta, 0.0, weight)]
 
-    plain, _ = scatter_camera(si.bsdf(), si, source(), mi.UInt32(1), active)
-    mine, _ = scattered_by(guide, si, source("other"), mi.UInt32(1), active)
+    plain, _ = scatter_camera(scenes.material(scene, si), si, source(), mi.UInt32(1), active)
+    mine, _ = scattered_by(guide, scene, si, source("other"), mi.UInt32(1), active)
     for a, b in zip(energies(plain), energies(mine), strict=True):
         assert a.mean() > 0.0
         assert abs(a.mean() - b.mean()) < 4.5 * np.hypot(a.std(), b.std()) / np.sqrt(N)
@@ -158,11 +159,11 @@ def test_a_smooth_and_a_delta_component_share_what_the_guide_leaves():
 
 def test_a_guide_that_knows_nothing_changes_nothing():
     guide = Guide(*BOX)
-    _scene, si = surface("roughplastic", 1000)
+    scene, si = surface("roughplastic", 1000)
     active = dr.full(mi.Bool, True, 1000)
     wo = [(mi.Vector3f(0.1, 0.2, 0.97), active)]
-    plain, (before,) = scatter_camera(si.bsdf(), si, source(n=1000), mi.UInt32(1), active, wo)
-    mine, (after,) = scattered_by(guide, si, source(n=1000), mi.UInt32(1), active, wo)
+    plain, (before,) = scatter_camera(scenes.material(scene, si), si, source(n=1000), mi.UInt32(1), active, wo)
+    mine, (after,) = scattered_by(guide, scene, si, source(n=1000), mi.UInt32(1), active, wo)
     for name in ("direction", "weight", "pdf", "eta", "active"):
         np.testing.assert_array_equal(np.asarray(getattr(mine, name)), np.asarray(getattr(plain, name)))
     np.testing.assert_array_equal(np.asarray(before.pdf), np.asarray(after.pdf))

@@ -325,7 +325,7 @@ def balls(material: str, inside: bool = False) -> tuple[Any, Any]:
 @pytest.mark.parametrize("material", SMOOTH)
 def test_scattering_gives_both_densities(material):
     """Density of the sampled direction, and the reverse: the BSDF's own for exchanged directions and transport."""
-    _scene, si = balls(material)  # the interactions need the scene alive
+    scene, si = balls(material)
     bsdf = si.bsdf()
     active = si.is_valid()
     radiance, importance = mi.BSDFContext(), mi.BSDFContext(mi.TransportMode.Importance)
@@ -333,7 +333,7 @@ def test_scattering_gives_both_densities(material):
         (scatter_camera, radiance, importance),
         (scatter_light, importance, radiance),
     ):
-        scattered, _ = scatter(bsdf, si, source("camera", dr.width(si)), mi.UInt32(1), active)
+        scattered, _ = scatter(scenes.material(scene, si), si, source("camera", dr.width(si)), mi.UInt32(1), active)
         wo = si.to_local(scattered.direction)
         swapped = mi.SurfaceInteraction3f(si)
         swapped.wi = wo
@@ -352,8 +352,8 @@ def test_scattering_gives_both_densities(material):
 @pytest.mark.parametrize("material", [m for m in scenes.MATERIALS if m not in ("pane", "null")])
 def test_both_ends_evaluate_one_function(material):
     """f(eye, light) |cos light| from the eye's side, and from the light's side the same function, exchanged."""
-    _scene, si = balls(material)  # the interactions need the scene alive
-    bsdf, active = si.bsdf(), si.is_valid()
+    scene, si = balls(material)
+    bsdf, active = scenes.material(scene, si), si.is_valid()
     local = mi.warp.square_to_uniform_sphere(mi.Point2f(*source("camera", dr.width(si)).next_2d(1, 1)))
     camera = evaluate_camera_end(bsdf, si, local, active)
     exchanged = mi.SurfaceInteraction3f(si)
@@ -370,8 +370,8 @@ def test_both_ends_evaluate_one_function(material):
 @pytest.mark.parametrize("material", SMOOTH)
 def test_the_weight_of_a_light_side_scattering(material):
     """Value over density, times the ratio of the geometric cosines."""
-    _scene, si = balls(material)  # the interactions need the scene alive
-    bsdf, active = si.bsdf(), si.is_valid()
+    scene, si = balls(material)
+    bsdf, active = scenes.material(scene, si), si.is_valid()
     scattered, _ = scatter_light(bsdf, si, source("light", dr.width(si)), mi.UInt32(1), active)
     wo = si.to_local(scattered.direction)
     value = evaluate_light_end(bsdf, si, wo, active).value * cosine_ratio(si, scattered.direction)
@@ -384,8 +384,10 @@ def test_the_weight_of_a_light_side_scattering(material):
 def test_a_mirror_keeps_the_flux():
     """Without shading normals the adjoint of a mirror or glass is the plain weight: no cosine is left over."""
     for material in ("conductor", "dielectric"):
-        _scene, si = balls(material)  # the interactions need the scene alive
-        scattered, _ = scatter_light(si.bsdf(), si, source("light", dr.width(si)), mi.UInt32(1), si.is_valid())
+        scene, si = balls(material)
+        scattered, _ = scatter_light(
+            scenes.material(scene, si), si, source("light", dr.width(si)), mi.UInt32(1), si.is_valid()
+        )
         dr.eval(scattered)
         weight = np.array(scattered.weight)[:, np.array(scattered.active)]
         assert weight.max() < 1.001
@@ -400,8 +402,8 @@ def test_the_mean_weight_of_scattering_is_the_integral(material, end):
     # A map that flips invalid normals has one frame for each side it is seen from, so what is sampled from the light
     # side is not all that is seen from the eye side (docs/methods/light.md, limits).
     flips = material in ("bumpmap", "normalmap") and end == "light"
-    _scene, si = balls(f"{material} unflipped" if flips else material)  # the interactions need the scene alive
-    bsdf, active = si.bsdf(), si.is_valid()
+    scene, si = balls(f"{material} unflipped" if flips else material)
+    bsdf, active = scenes.material(scene, si), si.is_valid()
     sampled, integrated = [], []
     for repeat in range(12):
         numbers = IndependentSource(dr.arange(mi.UInt32, dr.width(si)), 5, end, repeat)
@@ -442,8 +444,8 @@ def test_uniform_directions_carry_what_those_of_the_material_do(pair, material, 
     monkeypatch.setitem(scenes.MATERIALS, "frosted", lambda: frosted)
     # As in the test of mean weights: maps that flip invalid normals sample less from the light side.
     flips = material in ("bumpmap", "normalmap") and pair[0] is scatter_light
-    _scene, si = balls(f"{material} unflipped" if flips else material, inside)  # the interactions need the scene alive
-    bsdf, active = si.bsdf(), si.is_valid()
+    scene, si = balls(f"{material} unflipped" if flips else material, inside)
+    bsdf, active = scenes.material(scene, si), si.is_valid()
     differences: dict[str, list[np.ndarray]] = {"back": [], "on": []}
     means = []
     for repeat in range(60 if material == "frosted" else 12):

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support import scenes
 
 from etendue.core import IndependentSource
 from etendue.transport.scattering import (
@@ -33,7 +34,7 @@ def test_directions_in_the_surface_have_finite_densities(name, evaluate):
     cosines = mi.Float([0.0, -0.0, 1e-30, 1e-9, -1e-9, 1e-7, 1e-5, 0.3, 1.0])
     sines = dr.safe_sqrt(1.0 - cosines * cosines)
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.1, 0.2, 1.0), dr.normalize(mi.Vector3f(0.5, 0.0, -1.0))))
-    answer = evaluate(si.bsdf(), si, mi.Vector3f(0.0, sines, cosines), mi.Bool(True))
+    answer = evaluate(scenes.material(scene, si), si, mi.Vector3f(0.0, sines, cosines), mi.Bool(True))
     for values in (answer.value, answer.pdf, answer.reverse_pdf):
         values = np.asarray(values)
         assert np.isfinite(values).all()
@@ -65,7 +66,9 @@ def test_walks_are_reflected_by_fresnel(index, material, straight, scatter):
         lane = dr.arange(mi.UInt32, 1 << 14)
         way = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, -cosine)
         si = scene.ray_intersect(mi.Ray3f(mi.Point3f(-way) + dr.zeros(mi.Point3f, len(lane)), way))
-        found, _ = scatter(si.bsdf(), si, IndependentSource(lane, 1, "test", 0), mi.UInt32(0), mi.Bool(True))
+        found, _ = scatter(
+            scenes.material(scene, si), si, IndependentSource(lane, 1, "test", 0), mi.UInt32(0), mi.Bool(True)
+        )
         reflected = np.array(found.direction.z) > 0
         share = np.array(found.weight)[0] * np.array(found.pdf)  # of the light; the density is a probability
         np.testing.assert_allclose(share[reflected], exact, rtol=2e-5)
@@ -120,7 +123,9 @@ def test_transmitted_radiance_is_scaled_by_the_index(index, power, scatter):
     lane = dr.arange(mi.UInt32, 1 << 12)
     way = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, -cosine if index > 1 else cosine)
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(-way) + dr.zeros(mi.Point3f, len(lane)), way))
-    found, _ = scatter(si.bsdf(), si, IndependentSource(lane, 1, "test", 0), mi.UInt32(0), mi.Bool(True))
+    found, _ = scatter(
+        scenes.material(scene, si), si, IndependentSource(lane, 1, "test", 0), mi.UInt32(0), mi.Bool(True)
+    )
     through = (np.array(found.direction.z) > 0) == (index < 1)
     share = np.array(found.weight)[0] * np.array(found.pdf)
     np.testing.assert_allclose(share[through], (1 - fresnel(cosine, index)) / index**power, rtol=1e-4)

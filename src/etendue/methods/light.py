@@ -135,7 +135,7 @@ class LightTracing(Carrying, ImageMethod):
         if self.lights.has_infinite:
             eye = dr.zeros(mi.Interaction3f)
             eye.p = self.camera.origin
-            ds, _ = light.emitter.sample_direction(eye, u, active & light.is_infinite)
+            ds, _ = light.sample_direction("infinite", eye, u, active & light.is_infinite)
             si.p = dr.select(light.is_infinite, eye.p + ds.d * self.camera.far, si.p)
             si.n = dr.select(light.is_infinite, mi.Normal3f(-ds.d), si.n)
             density = dr.select(light.is_infinite, light.pick * ds.pdf, density)
@@ -154,7 +154,7 @@ class LightTracing(Carrying, ImageMethod):
             reach = dr.select(light.is_infinite, dr.inf, reach)
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
         active = joined.active & (cos > 0.0)
-        radiance = light.emitter.eval(si, active)
+        radiance = light.radiance(si, active)
         place = sink.splats.place(joined, source, 1)
         contribution = radiance * (joined.importance * cos * place.weight / density)
         active &= place.on_film & ~dr.all(contribution == 0.0)

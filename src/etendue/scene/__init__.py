@@ -6,6 +6,7 @@ from .camera import MOVABLE, Camera
 from .capability import check
 from .changes.edits import ParameterChanges, name_elements
 from .changes.parameters import SceneEditor, SceneParameter
+from .changes.watching import Parameters, parameters, view
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
@@ -21,6 +22,7 @@ from .lamps.radiance import (
 from .lamps.rays import own_ray
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
+from .members import Material, Members, bsdfs, emitters
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
@@ -28,7 +30,6 @@ from .portable import PortableScene, portable, restored
 from .problem import Problem
 from .resizing import resized
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
-from .watching import Parameters, parameters, view
 
 __all__ = [
     "MOVABLE",
@@ -38,6 +39,8 @@ __all__ = [
     "Light",
     "LightEdits",
     "LightTable",
+    "Material",
+    "Members",
     "ParameterChanges",
     "Parameters",
     "PortableScene",
@@ -47,6 +50,7 @@ __all__ = [
     "SceneParameter",
     "Source",
     "add_plugin",
+    "bsdfs",
     "bundled",
     "bundled_scene",
     "check",
@@ -54,6 +58,7 @@ __all__ = [
     "colour",
     "composed_bsdf",
     "described_lights",
+    "emitters",
     "fingerprint",
     "front",
     "graph",

@@ -124,7 +124,7 @@ def _emit_area(
         si.wi = facing(emitter, si, frame.to_world(local), mi.Frame3f.cos_theta(local))
         return si.p, si.n, local, emitter.eval(si, mask)
 
-    p, n, local, radiance = dr.dispatch(light.emitter, emitted, triangle, place, own, guided, mask)
+    p, n, local, radiance = light.call("area", emitted, triangle, place, own, guided, active=mask)
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
     cos = mi.Frame3f.cos_theta(local)
@@ -146,7 +146,7 @@ def _emit_area(
 def _emit_point(
     out: EmittedRay, light: Light, u_direction: mi.Point2f, learned: Departure | None, mask: mi.Bool
 ) -> None:
-    ray, weight = _own_ray(light, mi.EmitterFlags.DeltaPosition, u_direction, mask)
+    ray, weight = _own_ray(light, "point", u_direction, mask)
     direction_density = light.direction_density
     out.own_pdf[mask] = direction_density
     if learned is not None:
@@ -154,7 +154,7 @@ def _emit_point(
         probe = dr.zeros(mi.Interaction3f)
         probe.p = ray.o + learned.direction
         guided = mask & learned.applies
-        ds, intensity = light.emitter.sample_direction(probe, u_direction, guided)
+        ds, intensity = light.sample_direction("point", probe, u_direction, guided)
         weight = dr.select(guided, intensity * dr.square(ds.dist), weight * direction_density)
         ray.d = dr.select(guided, learned.direction, ray.d)
         lit = dr.any(weight > 0.0)  # a spot light has no density outside its cone
@@ -170,23 +170,22 @@ def _emit_point(
 
 
 def _emit_beam(out: EmittedRay, light: Light, u_point: mi.Point2f, mask: mi.Bool) -> None:
-    ray, weight = _own_ray(light, mi.EmitterFlags.DeltaDirection, u_point, mask)
+    ray, weight = _own_ray(light, "beam", u_point, mask)
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.emitted
     out.area_density[mask] = 0.0  # next event cannot sample a beam
     out.emission_density[mask] = light.emitted * light.area_density
 
 
-def _own_ray(light: Light, kind: mi.EmitterFlags, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
-    """A ray sampled by the emitter itself, for emitters with a flag: (ray, weight)."""
+def _own_ray(light: Light, kind: str, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
+    """A ray sampled by the emitter itself, for emitters of a kind: (ray, weight)."""
 
     def sample(emitter: mi.Emitter, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
-        if not mi.has_flag(emitter.flags(), kind):  # area lights with some textures do not implement sample_ray
-            return dr.zeros(mi.Ray3f), mi.Color3f(0.0)
         # The same pair twice: spot reads its direction from the first one, others from the second.
         return own_ray(emitter, u, u, mask)
 
-    return dr.dispatch(light.emitter, sample, u, mask)
+    ray, weight = light.call(kind, sample, u, active=mask)
+    return ray, weight
 
 
 def _emit_infinite(
@@ -194,7 +193,7 @@ def _emit_infinite(
 ) -> None:
     centre = dr.zeros(mi.Interaction3f)
     centre.p = mi.Point3f(lights.centre)
-    ds, weight = light.emitter.sample_direction(centre, u_direction, mask)
+    ds, weight = light.sample_direction("infinite", centre, u_direction, mask)
     # A disc of the scene's radius, perpendicular to the direction, that touches the bounding sphere.
     disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.radius
     frame = mi.Frame3f(ds.d)
@@ -269,7 +268,7 @@ def _direct_area(
         radiance = emitter.eval(at_light, mask & (cos > 0.0))
         return at_light.p, at_light.uv, direction, distance_squared, cos, radiance
 
-    found = dr.dispatch(light.emitter, lit, si.p, triangle, place, seen, mask)
+    found = light.call("area", lit, si.p, triangle, place, seen, active=mask)
     target, uv, direction, distance_squared, cos, radiance = found
     mask = mask & (cos > 0.0)
     pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
@@ -294,7 +293,7 @@ def _direct_point(
     departures: Departures | None,
     mask: mi.Bool,
 ) -> None:
-    ds, weight = light.emitter.sample_direction(si, u_point, mask)
+    ds, weight = light.sample_direction("point", si, u_point, mask)
     distance_squared = dr.square(ds.dist)
     out.direction[mask] = ds.d
     out.target[mask] = ds.p
@@ -307,7 +306,7 @@ def _direct_point(
 def _direct_infinite(
     out: DirectSample, light: Light, si: mi.SurfaceInteraction3f, u_point: mi.Point2f, mask: mi.Bool
 ) -> None:
-    ds, weight = light.emitter.sample_direction(si, u_point, mask)
+    ds, weight = light.sample_direction("infinite", si, u_point, mask)
     usable = mask & (ds.pdf > 0.0)
     out.direction[usable] = ds.d
     out.target[usable] = ds.p
@@ -335,9 +334,8 @@ def emission_of_hit(
     eq. 43]. ``active``: lanes whose ``si.emitter(scene)`` is not null. ``distance``: length of the edge, by default
     that of the ray. The area density is that of next event at the start of the edge.
     """
-    emitter = si.emitter(scene)
-    light = lights.of(emitter, active)
-    radiance = emitter.eval(si, active)
+    light = lights.of(si.emitter(scene), active)
+    radiance = light.radiance(si, active)
     area_density = point_density = area_density_on(lights, light, light.pick, si.uv, si.prim_index, active)
     cos = mi.Frame3f.cos_theta(si.wi)
     if lights.has_smooth:
@@ -354,7 +352,9 @@ def emission_of_hit(
         ds = dr.zeros(mi.DirectionSample3f)
         ds.d = -si.wi
         reference = dr.zeros(mi.Interaction3f)
-        direction_density = light.pick * emitter.pdf_direction(reference, ds, infinite)
+        direction_density = light.pick * light.call(
+            "infinite", mi.Emitter.pdf_direction, reference, ds, active=infinite
+        )
         area_density = dr.select(infinite, direction_density, area_density)
         by_disc = of_emission(light, direction_density * light.area_density)
         emission_density = dr.select(infinite, by_disc, emission_density)

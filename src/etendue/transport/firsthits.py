@@ -3,6 +3,7 @@ shape in the middle of each pixel, and the shapes that cover the pixel."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -70,13 +71,13 @@ class FirstHits:
         def put(
             ray: mi.UInt32,
             si: mi.SurfaceInteraction3f,
-            bsdf: mi.BSDFPtr,
+            pointer: mi.BSDFPtr,
             emitted: mi.Color3f,
             hit: mi.Bool,
             active: mi.Bool,
         ) -> mi.Bool:
             n = si.sh_frame.n
-            albedo = dr.select(hit, bsdf.eval_diffuse_reflectance(si, hit), 0.0)
+            albedo = replace(vertex.bsdf, pointer=pointer).call(mi.BSDF.eval_diffuse_reflectance, si, active=hit)
             # A packed normal is always finite; therefore a depth of NaN marks a normal that is not.
             depth = dr.select(hit, dr.select(dr.all(dr.isfinite(n)), si.t, dr.nan), 0.0)
             first = mi.Vector4f(albedo.x, albedo.y, albedo.z, depth)
@@ -87,7 +88,7 @@ class FirstHits:
 
         # A branch, because only one of the edges of a path is the first.
         active &= self._kept
-        arguments = self._ray, vertex.si, vertex.bsdf, emitted, active & vertex.valid, active
+        arguments = self._ray, vertex.si, vertex.bsdf.pointer, emitted, active & vertex.valid, active
         dr.if_stmt(arguments, active, put, lambda *_: _[-1], label="first hit")
 
     def found(self) -> tuple[dict[str, Any], int]:

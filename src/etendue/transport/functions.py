@@ -23,7 +23,7 @@ import numpy as np
 
 from etendue.core import Array, OptionError
 from etendue.integration import Box, Integrand, Integrator, integral
-from etendue.scene import warn_of_offsets
+from etendue.scene import Material, bsdfs, emitters, warn_of_offsets
 
 from .scattering import is_smooth
 
@@ -61,6 +61,7 @@ class TransportFunctions:
                 f"the scene has {len(sensors)} sensors, number {sensor} is not one of them (they count from 0)"
             )
         self.scene, self._sensor = scene, sensors[sensor]
+        self._emitters, self._bsdfs = emitters(scene), bsdfs(scene)
         warn_of_offsets(scene, self._sensor, "the scene")
         lower, upper = np.array(scene.bbox().min).ravel(), np.array(scene.bbox().max).ravel()
         if not np.isfinite([lower, upper]).all() or not (upper >= lower).all():
@@ -118,9 +119,15 @@ class TransportFunctions:
 
         return self._cached("hit", list(x[:6]), intersect).compute_surface_interaction(ray)
 
+    def _material(self, si: mi.SurfaceInteraction3f) -> Material:
+        return Material(si.bsdf(), self._bsdfs)
+
     def _emitted(self, x: Sequence[mi.Float]) -> mi.Color3f:
         si = self._interaction(x)
-        return si.emitter(self.scene).eval(si)
+        if not self._emitters:
+            return mi.Color3f(0.0)
+        emitter = dr.reinterpret_array(mi.UInt32, si.emitter(self.scene))
+        return self._emitters.call(emitter, mi.Emitter.eval, si, active=emitter != 0)
 
     def _bounce(self, x: Sequence[mi.Float]) -> tuple[list[mi.Float], mi.Color3f]:
         """(next ray, weight)."""
@@ -128,7 +135,8 @@ class TransportFunctions:
         def sample() -> tuple[list[mi.Float], mi.Color3f]:
             si = self._interaction(x)
             valid = si.is_valid()
-            bs, weight = si.bsdf().sample(mi.BSDFContext(), si, x[6], mi.Point2f(x[7], x[8]), valid)
+            arguments = mi.BSDFContext(), si, x[6], mi.Point2f(x[7], x[8])
+            bs, weight = self._material(si).call(mi.BSDF.sample, *arguments, active=valid)
             scattered = valid & (bs.pdf > 0.0) & dr.any(weight != 0.0)
             ray = si.spawn_ray(si.to_world(bs.wo))
             origin = dr.select(scattered, ray.o, mi.Point3f(*self._outside))
@@ -141,11 +149,18 @@ class TransportFunctions:
 
     def _direct(self, x: Sequence[mi.Float]) -> mi.Color3f:
         si = self._interaction(x)
-        active = si.is_valid() & is_smooth(si.bsdf())
-        ds, radiance = self.scene.sample_emitter_direction(si, mi.Point2f(x[6], x[7]), True, active)
+        if not self._emitters:
+            return mi.Color3f(0.0)
+        material = self._material(si)
+        active = si.is_valid() & is_smooth(material)
+        number, weight, u = self.scene.sample_emitter(x[6], active)
+        emitter = dr.gather(mi.UInt32, dr.reinterpret_array(mi.UInt32, self.scene.emitters_dr()), number, active)
+        place = mi.Point2f(u, x[7])
+        ds, radiance = self._emitters.call(emitter, mi.Emitter.sample_direction, si, place, active=active)
         active &= ds.pdf != 0.0
-        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), active)
-        return dr.select(active, value * radiance, 0.0)
+        active &= ~self.scene.ray_test(si.spawn_ray_to(ds.p), active)
+        value = material.call(mi.BSDF.eval, mi.BSDFContext(), si, si.to_local(ds.d), active=active)
+        return dr.select(active, value * radiance * weight, 0.0)
 
     def _hit(self, x: Sequence[mi.Float]) -> list[mi.Float]:
         si = self._interaction(x)
@@ -155,7 +170,7 @@ class TransportFunctions:
 
     def _albedo(self, x: Sequence[mi.Float]) -> mi.Color3f:
         si = self._interaction(x)
-        return si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
+        return self._material(si).call(mi.BSDF.eval_diffuse_reflectance, si, active=si.is_valid())
 
     def _cached(self, name: str, x: list[mi.Float], compute: Callable[[], T]) -> T:
         """``compute()``, or its last result if that was computed for the same arrays. The arrays of the last call are

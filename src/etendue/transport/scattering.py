@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.scene import Material
 
 from . import dimensions as dim
 
@@ -62,7 +63,7 @@ class Proposal(Protocol):
 
     def __call__(
         self,
-        bsdf: mi.BSDFPtr,
+        bsdf: Material,
         si: mi.SurfaceInteraction3f,
         source: SampleSource,
         vertex: mi.UInt32,
@@ -74,7 +75,7 @@ class Proposal(Protocol):
         ...
 
 
-def is_smooth(bsdf: mi.BSDFPtr) -> mi.Bool:
+def is_smooth(bsdf: Material) -> mi.Bool:
     """Whether a BSDF has a component without delta functions, so that vertices can be connected or merged."""
     return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
 
@@ -91,15 +92,15 @@ def geometric_cos(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Flo
     return dr.abs(dr.dot(si.n, direction))
 
 
-def evaluate_camera_end(bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
+def evaluate_camera_end(bsdf: Material, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
     """The BSDF at a camera vertex for the local direction ``wo`` of the light side."""
-    return Evaluated(*dr.dispatch(bsdf, _camera_end, si, wo, active))
+    return Evaluated(*bsdf.call(_camera_end, si, wo, active=active))
 
 
-def evaluate_light_end(bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
+def evaluate_light_end(bsdf: Material, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
     """The BSDF at a light vertex for the local direction ``wo`` of the eye side; the value times :func:`cosine_ratio`
     is the adjoint BSDF times its cosine."""
-    return Evaluated(*dr.dispatch(bsdf, _light_end, si, wo, active))
+    return Evaluated(*bsdf.call(_light_end, si, wo, active=active))
 
 
 # Functions that are dispatched get the BSDF as an object, not as a pointer.
@@ -138,7 +139,7 @@ def cosine_ratio(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Floa
 
 
 def scatter_camera(
-    bsdf: mi.BSDFPtr,
+    bsdf: Material,
     si: mi.SurfaceInteraction3f,
     source: SampleSource,
     vertex: mi.UInt32,
@@ -150,7 +151,7 @@ def scatter_camera(
 
 
 def scatter_light(
-    bsdf: mi.BSDFPtr,
+    bsdf: Material,
     si: mi.SurfaceInteraction3f,
     source: SampleSource,
     vertex: mi.UInt32,
@@ -173,7 +174,7 @@ def _make_adjoint(scattered: Scattered, si: mi.SurfaceInteraction3f) -> None:
 
 
 def scatter_uniform(
-    bsdf: mi.BSDFPtr,
+    bsdf: Material,
     si: mi.SurfaceInteraction3f,
     source: SampleSource,
     vertex: mi.UInt32,
@@ -191,7 +192,7 @@ def scatter_uniform(
 
 
 def scatter_light_uniform(
-    bsdf: mi.BSDFPtr,
+    bsdf: Material,
     si: mi.SurfaceInteraction3f,
     source: SampleSource,
     vertex: mi.UInt32,
@@ -209,7 +210,7 @@ def scatter_light_uniform(
 def _scatter(
     sample: _Sample,
     evaluate: _Evaluate,
-    bsdf: mi.BSDFPtr,
+    bsdf: Material,
     si: mi.SurfaceInteraction3f,
     source: SampleSource,
     vertex: mi.UInt32,
@@ -226,10 +227,11 @@ def _scatter(
         u: tuple[mi.Float, mi.Point2f],
         active: mi.Bool,
         directions: list[tuple[mi.Vector3f, mi.Bool]],
+        everywhere: mi.Bool,
     ) -> tuple[_Sampled, list[tuple[mi.Color3f, mi.Float, mi.Float]]]:
         return sample(bsdf, si, u, active), [evaluate(bsdf, si, wo, mask) for wo, mask in directions]
 
-    sampled, evaluated = dr.dispatch(bsdf, call, si, u, active, list(directions))
+    sampled, evaluated = bsdf.call(call, si, u, active, list(directions))
     wo, weight, pdf, reverse_pdf, eta, lobe = sampled
     is_delta, is_null = mi.has_flag(lobe, mi.BSDFFlags.Delta), mi.has_flag(lobe, mi.BSDFFlags.Null)
     direction = si.to_world(wo)

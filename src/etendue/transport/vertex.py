@@ -12,6 +12,7 @@ from typing import Protocol
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.scene import Material
 
 from .scattering import Evaluated, Proposal, Scattered, evaluate_camera_end, is_smooth, scatter_camera
 
@@ -33,7 +34,7 @@ class Vertex:
     """A surface point of a sub-path, one lane each."""
 
     si: mi.SurfaceInteraction3f  #: ``wi`` points back along the sub-path
-    bsdf: mi.BSDFPtr
+    bsdf: Material
 
     @property
     def position(self) -> mi.Point3f:

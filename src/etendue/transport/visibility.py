@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import materials
+from etendue.scene import Material, bsdfs, materials
 
 
 class Visibility:
@@ -22,12 +22,17 @@ class Visibility:
 
     def __init__(self, scene: mi.Scene) -> None:
         self.scene = scene
+        self.bsdfs = bsdfs(scene)
         self.transparent = any(_passes(node) for node in materials(scene) if isinstance(node, mi.BSDF))
         #: The opaque meshes alone, which block nearly all blocked shadow rays: an any-hit test costs less than the
         #: closest intersection. Not on a GPU, where a kernel traces rays in one scene only.
         self._opaque = (
             _opaque_meshes(scene) if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
         )
+
+    def material(self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f) -> Material:
+        """The material at the end of a ray."""
+        return Material(si.bsdf(ray), self.bsdfs)
 
     def along(self, ray: mi.Ray3f, crossings: mi.UInt32, active: mi.Bool) -> tuple[mi.Bool, mi.Color3f | float]:
         """(whether the end of a shadow ray is visible, transmittance along the ray); the transmittance is the number
@@ -62,7 +67,8 @@ class Visibility:
                 null: mi.Bool, ray: mi.Ray3f, transmittance: mi.Color3f, hit: mi.PreliminaryIntersection3f
             ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f]:
                 si = hit.compute_surface_interaction(ray, active=null)
-                transmittance = transmittance * si.bsdf(ray).eval_null_transmission(si, null)
+                material = self.material(si, ray)
+                transmittance = transmittance * material.call(mi.BSDF.eval_null_transmission, si, active=null)
                 # The direction to the end point is computed again: the new origin is offset from the surface, and a ray
                 # in the old direction could hit the light at the end.
                 finite = ray.maxt < dr.largest(mi.Float)

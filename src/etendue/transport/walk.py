@@ -169,7 +169,7 @@ class Walker:
         valid = si.is_valid()
         return WalkVertex(
             si=si,
-            bsdf=si.bsdf(s.ray),
+            bsdf=self.visibility.material(si, s.ray),
             number=mi.UInt32(s.depth),
             hit=hit,
             incoming=s.ray.d,

@@ -179,7 +179,7 @@ class FilmTarget:
             s.radiance[hit.active] += s.throughput * hit.radiance
             s.active &= vertex.valid & (s.depth < walker.max_edges)
             s.active &= mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
-            s.throughput = s.throughput * vertex.bsdf.eval_null_transmission(vertex.si, s.active)
+            s.throughput = s.throughput * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=s.active)
             s.active &= dr.max(s.throughput) > 0.0
             s.ray, s.travelled, s.depth = vertex.ray(vertex.incoming), vertex.distance, s.depth + 1
             return s
@@ -190,8 +190,11 @@ class FilmTarget:
 
     def _sees_light(self, ray: mi.Ray3f) -> mi.Bool:
         """Whether the first surface on a ray emits towards it, or the environment is seen."""
-        si = self._method.scene.ray_intersect(ray)
-        return dr.any(si.emitter(self._method.scene).eval(si) > 0.0)
+        scene = self._method.scene
+        si = scene.ray_intersect(ray)
+        emitter = si.emitter(scene)
+        shines = dr.reinterpret_array(mi.UInt32, emitter) != 0
+        return dr.any(self._method.lights.of(emitter, shines).radiance(si, shines) > 0.0)
 
 
 class FilmMetropolis(MetropolisMethod):

@@ -11,7 +11,7 @@ is a function of these numbers, and the sum over l of its integrals is the flux 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, SampleSource
-from etendue.scene import LightTable
+from etendue.scene import LightTable, Material, Members, bsdfs
 from etendue.transport import EmittedRay, GivenNumbers, Proposal, Vertex, emit, scatter_light
 from etendue.transport import dimensions as dim
 
@@ -75,6 +75,10 @@ class LightPaths:
     lights: LightTable
     longest: int
     proposal: Proposal = scatter_light  #: samples directions
+    _bsdfs: Members = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_bsdfs", bsdfs(self.scene))
 
     def independent(self, lanes: mi.UInt32, seed: int, role: str, iteration: int) -> Independent:
         """Trace paths. Russian roulette brings the luminance back to that of the first end."""
@@ -175,7 +179,7 @@ class LightPaths:
     ) -> tuple[mi.Ray3f, mi.Color3f, mi.Bool, mi.Bool]:
         """(ray, flux, whether there is one, whether it has crossed a null surface) after the hit of a ray."""
         si = hit.compute_surface_interaction(ray, active=active)
-        vertex = Vertex(si=si, bsdf=si.bsdf(ray))
+        vertex = Vertex(si=si, bsdf=Material(si.bsdf(ray), self._bsdfs))
         source: SampleSource = GivenNumbers(dict(zip(LATER, numbers, strict=True)))
         scattered, _ = self.proposal(vertex.bsdf, si, source, mi.UInt32(0), active)
         return vertex.ray(scattered.direction), flux * scattered.weight, scattered.active, scattered.is_null

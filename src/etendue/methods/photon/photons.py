@@ -89,7 +89,8 @@ def reflected_by(
     if kernel != "uniform":
         weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
     si = vertex.si
-    value = p.fluence * vertex.bsdf.eval(mi.BSDFContext(), si, si.to_local(p.direction), active)
+    arguments = mi.BSDFContext(), si, si.to_local(p.direction)
+    value = p.fluence * vertex.bsdf.call(mi.BSDF.eval, *arguments, active=active)
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 

@@ -25,7 +25,9 @@ techniques share.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -34,6 +36,7 @@ import numpy as np
 from etendue.core import Array, SceneError, copied_to_device, on_device
 
 from ..graph import as_array, contents, plugin_name
+from ..members import Members
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .points import LightPoints
 from .radiance import RadianceCells, has_cells, is_black, is_smooth, measure
@@ -50,7 +53,7 @@ class Light:
     """A picked emitter and its entries of the table, one lane each."""
 
     row: mi.UInt32  #: number of the light
-    emitter: mi.EmitterPtr
+    emitters: dict[str, Members]  #: of the scene, by kind; ``visible``: those that a ray can hit or see
     pick: mi.Float  #: probability with which next event estimation picks the light
     emitted: mi.Float  #: probability with which emission picks the light; equal to ``pick`` unless both were learned
     area_density: mi.Float  #: 1/A of an area emitter or a beam, 1 of a point-like one, 1/(pi R^2) of an infinite one
@@ -63,6 +66,24 @@ class Light:
     exponent: mi.Float | None  #: focus of an area emitter around its normal; None if no light of the scene has one
     #: Centre and radius of a spherical area emitter, radius 0 for others; None if no light of the scene is spherical.
     sphere: mi.Vector4f | None
+
+    def call(self, kind: str, function: Callable[..., Any], *arguments: Any, active: mi.Bool) -> Any:
+        """``function(emitter, *arguments, active)`` of the emitter, zero where it is of another kind. There must be
+        emitters of this kind in the scene."""
+        return self.emitters[kind].call(self.row, function, *arguments, active=active)
+
+    def sample_direction(
+        self, kind: str, it: mi.Interaction3f, u: mi.Point2f, active: mi.Bool
+    ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
+        """The emitter's own ``sample_direction``; arguments as of :meth:`call`."""
+        ds, weight = self.call(kind, mi.Emitter.sample_direction, it, u, active=active)
+        return ds, weight
+
+    def radiance(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
+        """Radiance that the emitter sends from ``si`` into the direction ``si.wi``."""
+        if not self.emitters["visible"]:
+            return mi.Color3f(0.0)
+        return self.call("visible", mi.Emitter.eval, si, active=active)
 
     def direction_pdf(self, cos: mi.Float) -> mi.Float:
         """Solid-angle density with which an area emitter's ray leaves at ``cos`` to the normal."""
@@ -108,7 +129,6 @@ class LightTable:
         #: (count,) probability of picking each emitter, on the host.
         self.probabilities = pick = weight / weight.sum()
 
-        self._emitters = scene.emitters_dr()
         self._pick = on_device(mi.Float, pick)
         self._area_density = on_device(mi.Float, [r.area_density for r in rows])
         self._direction_density = on_device(mi.Float, [r.direction_density for r in rows])
@@ -135,10 +155,13 @@ class LightTable:
         self.is_round = np.array([r.sphere[3] > 0.0 and r.cells is None for r in rows])
         self._middle = on_device(mi.Float, _middles(pick))
         # A hit has only a pointer to its emitter: registry numbers map it to rows.
-        ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
+        ids = np.asarray(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
         row_of = np.zeros(int(ids.max()) + 1, np.uint32)
         row_of[ids] = np.arange(len(rows))
         self._row_of = on_device(mi.UInt32, row_of)
+        numbers = {kind: [n for n, r in enumerate(rows) if r.kind == kind] for kind in _KINDS}
+        numbers["visible"] = numbers["area"] + numbers["infinite"]
+        self._emitters = {kind: Members(mi.EmitterPtr, ids[own], own) for kind, own in numbers.items()}
 
     def pick(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
         """Pick an emitter for next event estimation, by :attr:`probabilities`."""
@@ -187,7 +210,7 @@ class LightTable:
         kind = dr.gather(mi.UInt32, self._kind, row, active)
         return Light(
             row=row,
-            emitter=dr.gather(mi.EmitterPtr, self._emitters, row, active),
+            emitters=self._emitters,
             pick=(pick := dr.gather(mi.Float, self._pick, row, active)),
             emitted=pick if self._emitted is self._pick else dr.gather(mi.Float, self._emitted, row, active),
             area_density=dr.gather(mi.Float, self._area_density, row, active),

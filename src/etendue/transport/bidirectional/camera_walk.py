@@ -200,7 +200,8 @@ class CameraWalk(BidirectionalWalk):
         if self.cache is None or self.cache.picks is None:
             return []
         picked = [
-            self.cache.draw(s.lane, s.depth, index, place, active) for index in range(self.mis.techniques.connection)
+            self.cache.draw(s.lane, s.depth, index, place, active, self.visibility.bsdfs)
+            for index in range(self.mis.techniques.connection)
         ]
         return [self._join(s, vertex, light, drawn, pick) for light, drawn, pick in picked]
 
@@ -213,7 +214,9 @@ class CameraWalk(BidirectionalWalk):
         def connect(
             j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32
         ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
-            joined = self._join(s, vertex, stored.read(stored.slot(first + j, active), active), active)
+            joined = self._join(
+                s, vertex, stored.read(stored.slot(first + j, active), active, self.visibility.bsdfs), active
+            )
             f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
             values, _, ray = self._connection(s, vertex, joined, f, u)

@@ -176,7 +176,8 @@ class _Stop:
             s.throughput = s.throughput * dr.select(both, 2.0, 1.0)
             crossed = {
                 "ray": vertex.ray(vertex.incoming),
-                "throughput": s.throughput * vertex.bsdf.eval_null_transmission(vertex.si, crossing),
+                "throughput": s.throughput
+                * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=crossing),
                 "d_vcm": on_edge[0],
                 "d_vc": on_edge[1],
                 "depth": s.depth + 1,
@@ -336,14 +337,13 @@ class SingleTechnique:
             nowhere, mi.Vector3f(0.0, 0.0, 1.0), mi.Point3f(0.0), mi.Float(1.0), mi.Float(0.0), mi.Bool(False)
         )
 
-    @staticmethod
-    def _end(s: Any) -> WalkVertex:
+    def _end(self, s: Any) -> WalkVertex:
         """The last vertex of a sub-path."""
         si = s.hit.compute_surface_interaction(s.ray, active=s.reached)
         valid = s.reached & si.is_valid()
         return WalkVertex(
             si=si,
-            bsdf=si.bsdf(s.ray),
+            bsdf=self.visibility.material(si, s.ray),
             number=s.depth,
             hit=s.hit,
             incoming=s.ray.d,

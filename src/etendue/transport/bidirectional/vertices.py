@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.film import Component
-from etendue.scene import materials
+from etendue.scene import Material, Members, materials
 
 from ..scattering import Evaluated, evaluate_light_end
 from ..vertex import Vertex, WalkVertex
@@ -204,7 +204,7 @@ class LightVertices:
         self._put(3, first, slot, active)
         self._put(4, second, slot, active)
         own = 0.0 if place is None else _as_float(place)
-        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, own), slot, active)
+        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf.pointer)), _as_float(path), fluence, own), slot, active)
 
     def close_paths(self, path: mi.UInt32, stored: mi.UInt32) -> None:
         """Store the number of vertices of each path; called once after the walk, in the same kernel."""
@@ -265,10 +265,10 @@ class LightVertices:
         """(first number, count) of a path's vertices."""
         return dr.gather(mi.UInt32, self._start, path, active), dr.gather(mi.UInt32, self._stored, path, active)
 
-    def read(self, slot: mi.UInt32, active: mi.Bool) -> LightVertex:
-        """Read whole vertices."""
+    def read(self, slot: mi.UInt32, active: mi.Bool, bsdfs: Members) -> LightVertex:
+        """Read whole vertices. ``bsdfs``: those of the scene."""
         position, throughput, direction, first, second, owner = (self._get(i, slot, active) for i in range(_PACKETS))
-        bsdf = dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x))
+        bsdf = Material(dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x)), bsdfs)
         world = unpacked_direction(direction.x, direction.y)
         d_vcm, d_vc = weighting(throughput.w, direction.w, self._more, slot, active)
         p = mi.Point3f(position.x, position.y, position.z)

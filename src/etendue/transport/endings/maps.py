@@ -82,7 +82,7 @@ class EndingWalker(Walker):
         reflects = (mi.Frame3f.cos_theta(si.wi) > 0.0) | mi.has_flag(flags, mi.BSDFFlags.BackSide)
         chosen = scattered.active & ~scattered.is_delta & ~scattered.is_null
         here = s.active & self.ends(vertex) & dr.select(has_choice, chosen, reflects)
-        albedo = vertex.bsdf.eval_diffuse_reflectance(si, here & ~has_choice)
+        albedo = vertex.bsdf.call(mi.BSDF.eval_diffuse_reflectance, si, active=here & ~has_choice)
         albedo = dr.select(has_choice, scattered.weight, albedo)
         towards = dr.select(dr.dot(si.n, vertex.incoming) > 0.0, -si.n, si.n)
         depth = vertex.number + ones(has_choice)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, SampleSource, copied_to_device
 from etendue.density import Cells, Quadtrees, QuadtreeSampler
-from etendue.scene import LightTable
+from etendue.scene import LightTable, Material
 
 from .. import dimensions as dim
 from ..scattering import Evaluated, Proposal, Scattered, geometric_cos, is_smooth
@@ -139,7 +139,7 @@ class Guide:
         self,
         cell: mi.UInt32,
         scatter: Proposal,
-        bsdf: mi.BSDFPtr,
+        bsdf: Material,
         si: mi.SurfaceInteraction3f,
         source: SampleSource,
         vertex: mi.UInt32,

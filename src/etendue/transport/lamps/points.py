@@ -23,14 +23,15 @@ def point_on(
 
     def point(
         emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Normal3f, mi.Point2f, mi.UInt32]:
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Normal3f, mi.Point2f, mi.UInt32, mi.ShapePtr]:
         si = light_point(emitter, triangle, place, mask)
-        return si.p, si.n, si.sh_frame.n, si.uv, si.prim_index
+        return si.p, si.n, si.sh_frame.n, si.uv, si.prim_index, mi.ShapePtr(emitter.get_shape())
 
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
-    si.p, si.n, si.sh_frame.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
+    found = light.call("area", point, triangle, place, active=mask)
+    si.p, si.n, si.sh_frame.n, si.uv, si.prim_index, shape = found
     if lights.points is not None:  # the radiance may be an attribute of the mesh
-        si.shape = light.emitter.get_shape()
+        si.shape = shape
     return si, density
 
 
@@ -47,11 +48,9 @@ def place_on(
 
 
 def light_point(emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool) -> mi.SurfaceInteraction3f:
-    """A point of an emitter's shape. Both normals are on the side that emits; cosines and densities are of ``n``, and
-    the interpolated normal decides beside it where a mesh with vertex normals emits (:func:`facing`)."""
-    shape = emitter.get_shape()  # None for some emitters: Dr.Jit traces the call for each emitter of the scene
-    if shape is None:
-        return dr.zeros(mi.SurfaceInteraction3f)
+    """A point of an area light's shape. Both normals are on the side that emits; cosines and densities are of ``n``,
+    and the interpolated normal decides beside it where a mesh with vertex normals emits (:func:`facing`)."""
+    shape = emitter.get_shape()
     if not has_cells(emitter):
         return uniform_point(shape, place, mask)
     si = surface_point(shape, triangle, place, mask)
@@ -85,9 +84,8 @@ def of_emission(light: Light, density: mi.Float) -> mi.Float:
 
 
 def is_sphere(emitter: mi.Emitter) -> bool:
-    """Whether an emitter is a spherical light."""
-    shape = emitter.get_shape()
-    return shape is not None and graph.plugin_name(shape) == "sphere"
+    """Whether an area light is spherical."""
+    return graph.plugin_name(emitter.get_shape()) == "sphere"
 
 
 def area_density_on(

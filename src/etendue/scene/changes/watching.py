@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Any
 
-from .graph import contents
+from ..graph import contents
 
 if TYPE_CHECKING:
     import mitsuba as mi
