@@ -14,6 +14,7 @@ from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .space import SENSORS
+from .transforms import fault, mirrors, misshapen
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -29,7 +30,6 @@ _EMITTERS = (
     "constant",
     "envmap",
     "sunsky",
-    "timed_sunsky",
 )
 #: Shapes besides meshes. Curves are missing: only rays from outside hit them, so paths are not reversible.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
@@ -91,6 +91,8 @@ def _check_shape(shape: mi.Shape) -> None:
         _check_mesh(shape, values, name)
     else:
         _check_values(shape, name)
+        if "to_world" in values and (why := misshapen(plugin_name(shape), values["to_world"])) is not None:
+            raise UnsupportedError(f"{name} {why}")
     bsdf = shape.bsdf()
     if bsdf is not None:
         for node in below(bsdf):
@@ -102,6 +104,11 @@ def _check_shape(shape: mi.Shape) -> None:
             )
         if not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
             raise SceneError(f"{name} emits light but has no area; remove it or repair its geometry")
+        if plugin_name(shape) == "cylinder" and mirrors(values["to_world"]):
+            raise UnsupportedError(
+                f"{name} emits light and has a 'to_world' that mirrors it, so that Mitsuba draws its inside as lit and "
+                "samples its outside; remove the reflection"
+            )
         if "vertex_normals" in values and not _is_faceted(values):
             raise UnsupportedError(
                 f"{name} emits light and has vertex normals that differ from its face normals, which is not supported; "
@@ -127,6 +134,8 @@ def _check_emitter(emitter: mi.Emitter) -> None:
 def _check_values(item: mi.Object, name: str) -> None:
     """Raise :class:`SceneError` if a number of the object is not finite."""
     for key, value in contents(item).values:
+        if "Transform" in type(value).__name__ and (why := fault(plugin_name(item), key, value)) is not None:
+            raise SceneError(f"{name} {why}")
         array = _floats(value)
         if array is not None and not np.isfinite(array).all():
             raise SceneError(f"{name} has a NaN or infinite value in '{key}'; correct it in the scene")

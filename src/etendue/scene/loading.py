@@ -33,6 +33,7 @@ from .parsing import (
 from .problem import Problem
 from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
+from .transforms import settle_transforms
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -194,6 +195,7 @@ def _from_parser(
     with _resolving(folders), _mitsuba_errors(name):
         if change is not None:
             change(state)
+        settle_transforms(state, name, check)
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)

@@ -15,6 +15,7 @@ from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _res
 from .parsing import keep_shapes, name_shapes, read_properties, take_integrator
 from .portable import PortableScene
 from .problem import Problem
+from .transforms import settle_transforms
 
 
 def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, Any] | None = None) -> Problem:
@@ -25,6 +26,7 @@ def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, 
 
     name, folders, config, state = _parsed(source, parameters)
     keep_shapes(state, shapes)
+    settle_transforms(state, name)
     with _resolving(folders), _mitsuba_errors(name):
         integrator, depth, options = take_integrator(state)
         scene = mi.parser.instantiate(config, state)
