@@ -172,7 +172,7 @@ def test_scenes_in_xml(tmp_path):
 def test_a_cylinder_may_be_stretched_along_its_axis_only(tmp_path):
     scene = described("lit cylinder", T().scale([4, 1, 1]), tmp_path)
     load(scene | {"it": scene["it"] | {"p0": [-1, 0, 0], "p1": [1, 0, 0]}})
-    with pytest.raises(SceneError, match="'it' of type 'cylinder'.*elliptic"):
+    with pytest.raises(SceneError, match=r"'it' of type 'cylinder'.*elliptic"):
         load(scene)
 
 
