@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import SceneError, UnsupportedError, check_variant
 
+from .environments import is_unsampled
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .space import SENSORS
 from .transforms import fault, mirrors, misshapen
@@ -129,6 +130,11 @@ def _check_emitter(emitter: mi.Emitter) -> None:
         raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")
     for node in below(emitter):
         _check_values(node, name)
+    if is_unsampled(emitter):
+        raise UnsupportedError(
+            f"{name} is lit in its first or last row, beside dark texels, where Mitsuba does not sample it; give the "
+            "scene as a file or a dictionary of plugins, or the picture twice as many rows"
+        )
 
 
 def _check_values(item: mi.Object, name: str) -> None:

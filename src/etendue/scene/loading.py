@@ -19,6 +19,7 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .editing import Change
+from .environments import instantiated
 from .moving import Described, moved
 from .parsing import (
     Size,
@@ -208,7 +209,7 @@ def _from_parser(
         unmerged = mi.parser.ParserState(state)
         if change is None:
             merge_meshes(state)
-        scene = mi.parser.instantiate(config, state)
+        scene = instantiated(config, state)
 
     chosen = _sensor(scene, sensor, name)
     if camera is not None:
@@ -219,7 +220,7 @@ def _from_parser(
         except SceneError:
             # Merged meshes have lost their names: check again without merging, so that the error names the element.
             with _resolving(folders), _mitsuba_errors(name):
-                scene = mi.parser.instantiate(config, unmerged)
+                scene = instantiated(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
     space = RenderSpace.of(scene, chosen)
