@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from etendue.core import SceneError, UnsupportedError, check_variant
 
+from .environments import is_unsampled
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .space import SENSORS
+from .transforms import fault, mirrors, misshapen
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -29,7 +31,6 @@ _EMITTERS = (
     "constant",
     "envmap",
     "sunsky",
-    "timed_sunsky",
 )
 #: Shapes besides meshes. Curves are missing: only rays from outside hit them, so paths are not reversible.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
@@ -91,6 +92,8 @@ def _check_shape(shape: mi.Shape) -> None:
         _check_mesh(shape, values, name)
     else:
         _check_values(shape, name)
+        if "to_world" in values and (why := misshapen(plugin_name(shape), values["to_world"])) is not None:
+            raise UnsupportedError(f"{name} {why}")
     bsdf = shape.bsdf()
     if bsdf is not None:
         for node in below(bsdf):
@@ -102,6 +105,11 @@ def _check_shape(shape: mi.Shape) -> None:
             )
         if not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
             raise SceneError(f"{name} emits light but has no area; remove it or repair its geometry")
+        if plugin_name(shape) == "cylinder" and mirrors(values["to_world"]):
+            raise UnsupportedError(
+                f"{name} emits light and has a 'to_world' that mirrors it, so that Mitsuba draws its inside as lit and "
+                "samples its outside; remove the reflection"
+            )
 
 
 def _check_emitter(emitter: mi.Emitter) -> None:
@@ -123,11 +131,18 @@ def _check_emitter(emitter: mi.Emitter) -> None:
             raise UnsupportedError(
                 f"{name} projects a {describe(texture, 'texture')}, which is not supported; use a 'bitmap'"
             )
+    if is_unsampled(emitter):
+        raise UnsupportedError(
+            f"{name} is lit in its first or last row, beside dark texels, where Mitsuba does not sample it; give the "
+            "scene as a file or a dictionary of plugins, or the picture twice as many rows"
+        )
 
 
 def _check_values(item: mi.Object, name: str) -> None:
     """Raise :class:`SceneError` if a number of the object is not finite."""
     for key, value in contents(item).values:
+        if "Transform" in type(value).__name__ and (why := fault(plugin_name(item), key, value)) is not None:
+            raise SceneError(f"{name} {why}")
         array = _floats(value)
         if array is not None and not np.isfinite(array).all():
             raise SceneError(f"{name} has a NaN or infinite value in '{key}'; correct it in the scene")

@@ -19,6 +19,7 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .editing import Change
+from .environments import instantiated
 from .models.reading import SUFFIXES, is_model, model
 from .moving import Described, moved
 from .parsing import (
@@ -34,6 +35,7 @@ from .parsing import (
 from .problem import Problem
 from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
+from .transforms import settle_transforms
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -199,6 +201,7 @@ def _from_parser(
     with _resolving(folders), _mitsuba_errors(name):
         if change is not None:
             change(state)
+        settle_transforms(state, name, check)
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)
@@ -211,7 +214,7 @@ def _from_parser(
         unmerged = mi.parser.ParserState(state)
         if change is None:
             merge_meshes(state)
-        scene = mi.parser.instantiate(config, state)
+        scene = instantiated(config, state)
 
     chosen = _sensor(scene, sensor, name)
     if camera is not None:
@@ -222,7 +225,7 @@ def _from_parser(
         except SceneError:
             # Merged meshes have lost their names: check again without merging, so that the error names the element.
             with _resolving(folders), _mitsuba_errors(name):
-                scene = mi.parser.instantiate(config, unmerged)
+                scene = instantiated(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
     space = RenderSpace.of(scene, chosen)

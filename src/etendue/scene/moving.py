@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from etendue.core import Array, logger
 
 from .builtin.table import BundledScene
+from .environments import instantiated
 from .graph import below, contents, describe, plugin_name
 from .parsing import MESH_PLUGINS, merge_meshes, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
@@ -43,7 +44,6 @@ def moved(
 ) -> tuple[mi.Scene, RenderSpace]:
     """The scene of the parsed ``state`` in ``space``. ``scene`` is the same scene without transformation; it is
     returned, with a warning, if an element cannot be moved."""
-    import mitsuba as mi
 
     why = _obstacle(state, scene)
     if why is not None:
@@ -62,7 +62,7 @@ def moved(
     _move(state, space, scene)
     warn_of_steps(name, _largest_coordinate(state, space), size, "put the vertices of its files near the origin")
     merge_meshes(state)
-    return mi.parser.instantiate(config, state), space
+    return instantiated(config, state), space
 
 
 def _obstacle(state: mi.parser.ParserState, scene: mi.Scene) -> str | None:

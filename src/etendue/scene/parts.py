@@ -11,23 +11,25 @@ import numpy as np
 
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
+from .environments import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
 from .parsing import keep_shapes, name_shapes, read_properties, take_integrator
 from .portable import PortableScene
 from .problem import Problem
+from .transforms import settle_transforms
 
 
 def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, Any] | None = None) -> Problem:
     """Load some shapes of a scene: only shapes with ids in ``shapes``, shapes that emit and shape groups are built, and
     only their files are read. Errors as :func:`load`."""
     use_variant()
-    import mitsuba as mi
 
     name, folders, config, state = _parsed(source, parameters)
     keep_shapes(state, shapes)
+    settle_transforms(state, name)
     with _resolving(folders), _mitsuba_errors(name):
         integrator, depth, options = take_integrator(state)
-        scene = mi.parser.instantiate(config, state)
+        scene = instantiated(config, state)
     # In the coordinates of the whole scene, not in a render space of the part.
     return _problem(scene, _sensor(scene, 0, name), integrator, depth, options, name, None, "", check=False)
 

@@ -95,7 +95,7 @@ def half_diagonal(scene: mi.Scene) -> float:
 def warn_of_offsets(scene: mi.Scene, sensor: mi.Sensor, name: str, why: str = "a loaded scene is not moved") -> None:
     """Warn, once for each text, if the ray offset in ``scene`` is large enough to change its light."""
     if _share(scene, sensor)[0] > _LARGEST_OFFSET:
-        _warn_once(
+        warn_once(
             f"{name}: rays start up to {largest_offset(scene):.2g} off surfaces, which changes the light of a scene of "
             f"this size and position, and {why}; move it near the origin and scale it to a size of 1 to 100, or load "
             "it from a file or a dictionary of plugins"
@@ -106,14 +106,15 @@ def warn_of_steps(name: str, largest: float, size: float, remedy: str) -> None:
     """Warn if the single-precision step at coordinates up to ``largest`` is too large for a scene with half the
     diagonal ``size``."""
     if _STEP * largest > _LARGEST_STEP * size:
-        _warn_once(
+        warn_once(
             f"{name}: single precision rounds coordinates of {largest:.2g} to multiples of {2 * _STEP * largest:.2g}, "
             f"{2 * _STEP * largest / size:.2g} of the scene's size; {remedy}"
         )
 
 
 @lru_cache(maxsize=256)
-def _warn_once(text: str) -> None:
+def warn_once(text: str) -> None:
+    """Log a warning, once for each text."""
     logger.warning(text)
 
 

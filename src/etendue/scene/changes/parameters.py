@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import OptionError, suggest
 
 from ..graph import contents, plugin_name
+from ..transforms import fault, misshapen
 from .values import TEXTURE, TRANSFORM, Range, Value, checked, for_scene, kind_of, plain, range_of
 
 if TYPE_CHECKING:
@@ -83,6 +84,12 @@ class SceneEditor:
         """``value`` as the parameter holds it. Raises :class:`OptionError` for a value that it cannot have."""
         parameter = self.get(key)
         good = checked(key, parameter.kind, parameter.allowed, value)
+        if parameter.kind == TRANSFORM:
+            transform = for_scene(self._values[key], TRANSFORM, good)
+            if why := fault(parameter.plugin, key.rsplit(".", 1)[-1], transform) or misshapen(
+                parameter.plugin, transform
+            ):
+                raise OptionError(f"'{parameter.element}' {why}")
         if key.endswith((".beam_width", ".cutoff_angle")):
             _check_spot(self, key, good)
         return good

@@ -1,0 +1,65 @@
+"""Environment maps that are lit at a pole only, and the construction of a parsed scene that sees to them.
+
+Mitsuba samples an environment map by its values times the sine of the polar angle, both interpolated between texels. In
+the first and in the last row the sine is zero: beside dark texels, their light has no density, or hardly any. Rows
+between them, which change no value because values are interpolated linearly, make its density positive.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .graph import plugin_name
+from .parsing import read_properties
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: Largest ratio of a texel of the first or last row to those beside it that samples well, and that is sampled at all.
+_GOOD, _POSSIBLE = 4.0, 1e4
+
+
+def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> mi.Scene:
+    """The scene of a parsed description. Environment maps that Mitsuba would not sample well get more rows, except
+    those that are objects of the caller."""
+    import mitsuba as mi
+
+    given = [value for value in read_properties(state.root.props).values() if isinstance(value, mi.Emitter)]
+    scene = mi.parser.instantiate(config, state)
+    for emitter in scene.emitters():
+        if plugin_name(emitter) == "envmap" and emitter not in given and _steepness(emitter) > _GOOD:
+            _double(emitter)
+    return scene
+
+
+def is_unsampled(emitter: mi.Emitter) -> bool:
+    """Whether Mitsuba has no density for some light of an environment map."""
+    return plugin_name(emitter) == "envmap" and _steepness(emitter) > _POSSIBLE
+
+
+def _steepness(emitter: mi.Emitter) -> float:
+    """The largest ratio of the texels of a square at a pole to those of its other side."""
+    import mitsuba as mi
+
+    data = mi.traverse(emitter)["data"]
+    largest = 0.0
+    for ends in (data[:2], data[-2:][::-1]):
+        pole, beside = np.asarray(ends, np.float64).mean(axis=2)
+        lit, dim = np.maximum(pole[:-1], pole[1:]), np.maximum(beside[:-1], beside[1:])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            largest = max(largest, float(np.where(lit > 0.0, lit / dim, 0.0).max()))
+    return largest
+
+
+def _double(emitter: mi.Emitter) -> None:
+    """Insert a row between every two rows of an environment map."""
+    import mitsuba as mi
+
+    parameters = mi.traverse(emitter)
+    rows = np.asarray(parameters["data"])
+    more = np.empty((2 * len(rows) - 1, *rows.shape[1:]), np.float32)
+    more[::2], more[1::2] = rows, 0.5 * (rows[:-1] + rows[1:])
+    parameters["data"] = mi.TensorXf(more)
+    parameters.update()
