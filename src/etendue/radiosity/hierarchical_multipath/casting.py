@@ -10,96 +10,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: Largest number of primitives of a leaf, number of bins along an axis, and depth of the stack: nodes at the greatest
-#: depth that it allows are leaves of any size.
-_LEAF, _BINS, _DEPTH = 4, 16, 128
+#: Depth of the stack: that of the deepest tree of :func:`etendue.surfaces.box_tree`.
+_DEPTH = 128
 #: Largest number of hits of a line.
 MOST_HITS = 4096
 #: Hits closer to each other than this, in units of the part's size, are at the same place.
 _SAME_PLACE = 1e-10
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def build(low: Any, high: Any) -> Any:
-    """A tree over boxes (n, 3): corners of its nodes (m, 2, 3), links (m, 3), the order of the primitives, and the
-    depth of the deepest leaf.
-
-    Links are: the second child (the first child follows its parent), or of a leaf its first place in the order; the
-    number of primitives of a leaf, 0 for inner nodes; the axis of the split. Splits minimise the surface area
-    heuristic.
-    """
-    count = len(low)
-    order = np.arange(count)
-    corners = np.empty((2 * count + 1, 2, 3))
-    links = np.zeros((2 * count + 1, 3), np.int64)
-    stack = np.empty((_DEPTH, 4), np.int64)
-    stack[0] = 0, count, -1, 0
-    top, made, deepest = 1, 0, 0
-    bins_low, bins_high = np.empty((_BINS, 3)), np.empty((_BINS, 3))
-    bins, area = np.empty(_BINS, np.int64), np.empty(_BINS)
-    while top > 0:
-        top -= 1
-        begin, end, parent, depth = stack[top]
-        deepest = max(deepest, depth)
-        node = made
-        made += 1
-        if parent >= 0:
-            links[parent, 0] = node
-        first, last = np.full(3, np.inf), np.full(3, -np.inf)
-        middle_low, middle_high = np.full(3, np.inf), np.full(3, -np.inf)
-        for k in range(begin, end):
-            for a in range(3):
-                x, y = low[order[k], a], high[order[k], a]
-                first[a], last[a] = min(first[a], x), max(last[a], y)
-                middle_low[a], middle_high[a] = min(middle_low[a], x + y), max(middle_high[a], x + y)
-        corners[node, 0], corners[node, 1] = first, last
-        axis = np.argmax(middle_high - middle_low)
-        width = middle_high[axis] - middle_low[axis]
-        if end - begin <= _LEAF or width <= 0 or depth == _DEPTH - 1:
-            links[node, 0], links[node, 1] = begin, end - begin
-            continue
-        bins[:], bins_low[:], bins_high[:] = 0, np.inf, -np.inf
-        for k in range(begin, end):
-            p = order[k]
-            b = min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1)
-            bins[b] += 1
-            for a in range(3):
-                bins_low[b, a], bins_high[b, a] = min(bins_low[b, a], low[p, a]), max(bins_high[b, a], high[p, a])
-        # Area times number of primitives on the right of each split, then on its left.
-        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
-        for b in range(_BINS - 1, 0, -1):
-            n += bins[b]
-            for a in range(3):
-                first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
-            area[b] = n * _half_area(first, last) if n else 0.0
-        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
-        best, cut = np.inf, 1
-        for b in range(_BINS - 1):
-            n += bins[b]
-            for a in range(3):
-                first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
-            cost = (n * _half_area(first, last) if n else 0.0) + area[b + 1]
-            if 0 < n < end - begin and cost < best:
-                best, cut = cost, b + 1
-        left, right = begin, end - 1
-        while left <= right:
-            p = order[left]
-            if min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1) < cut:
-                left += 1
-            else:
-                order[left], order[right] = order[right], order[left]
-                right -= 1
-        links[node, 2] = axis
-        stack[top] = left, end, node, depth + 1
-        stack[top + 1] = begin, left, -1, depth + 1
-        top += 2
-    return corners[:made].copy(), links[:made].copy(), order, deepest
-
-
-@njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def _half_area(low: Any, high: Any) -> Any:
-    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
-    return x * y + y * z + z * x
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

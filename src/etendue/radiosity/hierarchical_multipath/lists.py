@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 from etendue.points import PointSet
+from etendue.surfaces import box_tree
 
 from ..errors import RadiosityError
 from ..lines.generators import box_lines
@@ -44,10 +45,13 @@ class PartRays:
         self.own = np.stack(part.bounds)
         self.size = float(np.linalg.norm(self.own[1] - self.own[0]))
         patches, children = part.patches, part.children
-        self.faces = np.zeros((0, 4, 3)) if patches is None else np.ascontiguousarray(patches.vertices[patches.faces])
+        self.faces = np.zeros((0, 4, 3))
         self.normals = np.zeros((0, 3)) if patches is None else patches.face_normals
         self.sides = np.zeros((0, 2), dtype=np.int64)
         if patches is not None:
+            patches.coincident.warn(patches)
+            vertices, faces = patches.coincident.apart(patches)
+            self.faces = np.ascontiguousarray(vertices[faces])
             back = np.where(patches.back < 0, len(patches) + 1, patches.back)
             self.sides = np.stack([patches.front, back], axis=1)
         self.boxes = np.array([np.stack(child.bounds) for child, _ in children]).reshape(-1, 2, 3)
@@ -59,8 +63,7 @@ class PartRays:
             placed = points @ matrix[:3, :3].T + matrix[:3, 3]
             low.append(placed.min(axis=0)[None])
             high.append(placed.max(axis=0)[None])
-        built = _loops().build(np.concatenate(low), np.concatenate(high))
-        self.corners, self.links, self.order, self.depth = built
+        self.corners, self.links, self.order, self.depth = box_tree(np.concatenate(low), np.concatenate(high))
 
 
 @dataclass(frozen=True)
