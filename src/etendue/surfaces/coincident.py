@@ -64,6 +64,11 @@ class Coincident:
         flat = back_to_back & _is_flat(patches, corners) if back_to_back.any() else back_to_back
         return cls(pairs, back_to_back, flat, pairs[~is_plate])
 
+    @property
+    def kinds(self) -> NDArray[np.uint8]:
+        """(f,) for loops: 1 for faces that lie back to back on others, 2 for those that are also ``flat``, else 0."""
+        return self.back_to_back.astype(np.uint8) + self.flat.astype(np.uint8)
+
     def apart(self, patches: Patches) -> tuple[Array, Index]:
         """Vertices and faces for rays, with faces that lie back to back set apart: each is moved a millionth of the
         scene's radius to its front, where the light is that it receives. Otherwise rounding, or the order of the faces,

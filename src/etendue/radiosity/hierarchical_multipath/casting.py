@@ -102,6 +102,9 @@ def lists(
     faces: Any,
     normals: Any,
     sides: Any,
+    coincident: Any,
+    reach: Any,
+    is_interior: Any,
     boxes: Any,
     matrices: Any,
     transmittances: Any,
@@ -113,7 +116,9 @@ def lists(
     """Cut lines through a part into stretches: two ends, and the boxes of copies that are crossed between them.
 
     An end is a patch (``sides`` (f, 2) of faces: front, back), n the sky, n + 1 dark, or n + 2 + r region r of the
-    part's own box. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
+    part's own box. ``coincident`` (f,): 1 for faces that lie back to back on others and are set apart, 2 for those of
+    them that are part of no solid, else 0; ``reach``: largest distance of two such faces; ``is_interior``: whether faces
+    bound a room. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
     regions of children where a line enters and leaves; number of lines through each region (r,), and the sum of their
     transmittances (r,); regions and the faces hit first behind them (y, 2); numbers of tests of polygons and of boxes
     of copies; whether a line had too many hits.
@@ -131,6 +136,7 @@ def lists(
     stack = np.empty(_DEPTH, np.int64)
     inverse, inner_o, inner_d, inner_inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     tests, box_tests = 0, 0
+    pairs_exist = coincident.any()
     for line in range(len(origins)):
         o, d = origins[line], directions[line]
         for a in range(3):
@@ -187,6 +193,8 @@ def lists(
                 place[j + 1, 0], place[j + 1, 1] = place[j, 0], place[j, 1]
                 j -= 1
             at[j + 1], what[j + 1], leaves[j + 1], place[j + 1, 0], place[j + 1, 1] = t, w, leave, p0, p1
+        if pairs_exist:
+            _settle(at, what, leaves, hits, len(faces), normals, d, coincident, reach, is_interior)
         left, last = sky, sky
         if not is_root:
             near, far = slab(own, o, inverse)
@@ -248,6 +256,72 @@ def lists(
         box_tests,
         False,
     )
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _settle(
+    at: Any,
+    what: Any,
+    leaves: Any,
+    hits: Any,
+    count: Any,
+    normals: Any,
+    d: Any,
+    coincident: Any,
+    reach: Any,
+    is_interior: Any,
+) -> None:
+    """Order the hits of faces that lie back to back and are set apart: outside of solids a line meets the front of one
+    first, inside a solid that touches another one it leaves the solid first. The faces that are in no pair tell whether
+    a line is inside."""
+    inside, is_known, pairs, kind = False, False, 0, 0
+    k = 0
+    while k < hits:  # the first face that is in no pair
+        if what[k] < count:
+            if not _is_pair(k, at, what, leaves, hits, count, normals, d, coincident, reach):
+                inside, is_known = leaves[k], True
+                break
+            kind = min(coincident[what[k]], coincident[what[k + 1]]) if pairs == 0 else kind
+            pairs += 1
+            k += 1
+        k += 1
+    if not is_known:
+        inside = is_interior and kind == 1 and pairs % 2 == 0
+    k = 0
+    while k < hits:
+        if what[k] < count:
+            if _is_pair(k, at, what, leaves, hits, count, normals, d, coincident, reach):
+                if inside:
+                    at[k], at[k + 1] = at[k + 1], at[k]
+                    what[k], what[k + 1] = what[k + 1], what[k]
+                    leaves[k], leaves[k + 1] = True, False
+                k += 1
+            else:
+                inside = not leaves[k]
+        k += 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _is_pair(
+    k: Any,
+    at: Any,
+    what: Any,
+    leaves: Any,
+    hits: Any,
+    count: Any,
+    normals: Any,
+    d: Any,
+    coincident: Any,
+    reach: Any,
+) -> Any:
+    """Whether hit ``k`` and the next one are of two faces that lie back to back and were set apart."""
+    if k + 1 >= hits or what[k + 1] >= count or leaves[k] or not leaves[k + 1]:
+        return False
+    p = what[k]
+    if coincident[p] == 0 or coincident[what[k + 1]] == 0:
+        return False
+    along = normals[p, 0] * d[0] + normals[p, 1] * d[1] + normals[p, 2] * d[2]
+    return abs(along) * (at[k + 1] - at[k]) < reach * np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -92,8 +92,7 @@ class ABuffer(LineEngine):
         self.solid = is_interior(patches)
         front, back = patches.front, np.where(patches.back < 0, len(patches) + 1, patches.back)
         self._ends = np.stack([front, back, back, front], axis=1).reshape(-1, 2).astype(np.uint32)
-        # Faces that lie back to back on others, and those of them that are part of no solid.
-        self._coincident = patches.coincident.back_to_back.astype(np.uint8) + patches.coincident.flat
+        self._coincident = patches.coincident.kinds
 
     @property
     def arrays(self) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint8]]:
