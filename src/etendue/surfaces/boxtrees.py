@@ -157,10 +157,9 @@ def _bounds(face: Any, margin: Any, low: Any, high: Any) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _meet(box: Any, low: Any, high: Any) -> bool:
-    for c in range(3):
-        if box[0, c] > high[c] or box[1, c] < low[c]:
-            return False
-    return True
+    x = box[0, 0] <= high[0] and box[1, 0] >= low[0]
+    y = box[0, 1] <= high[1] and box[1, 1] >= low[1]
+    return bool(x and y and box[0, 2] <= high[2] and box[1, 2] >= low[2])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -34,7 +34,8 @@ class Coincident:
     pairs: (k, 2) faces that lie on each other, the lower number first.
     back_to_back: (f,) one-sided faces on which another one lies with opposite orientation: the sides of a thin plate,
         or two solids that touch.
-    flat: (f,) those of them that are part of no solid: all faces connected with them, at common corners, lie in a plane.
+    flat: (f,) those of them that are part of no solid: all faces connected with them, at common corners, lie in a
+        plane.
     clashing: (k, 2) pairs of faces that bear a patch on the same side, such as a door on a wall: it is arbitrary which
         of them receives the light.
     """
@@ -88,7 +89,8 @@ class Coincident:
         if len(self.clashing) and not self._is_told:
             self._is_told = True
             logger.warning(
-                "%s; it is arbitrary which of them receives the light: cut the lower one, or remove one", self.named(patches)
+                "%s; it is arbitrary which of them receives the light: cut the lower one, or remove one",
+                self.named(patches),
             )
 
     def named(self, patches: Patches) -> str:

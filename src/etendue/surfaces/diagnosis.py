@@ -22,8 +22,8 @@ class MeshDiagnosis:
 
     #: Duplicates: faces with the corners of an earlier one in the same order. It is arbitrary which one a line hits.
     duplicates: Index
-    #: Pairs (k, 2) of other faces that lie on each other, in part or as a whole, and face the same way, such as a door on
-    #: a wall. It is arbitrary which of the two a line hits.
+    #: Pairs (k, 2) of other faces that lie on each other, in part or as a whole, and face the same way, such as a door
+    #: on a wall. It is arbitrary which of the two a line hits.
     overlaps: Index
     #: Edges of one face only, (e, 2) vertex indices; two-sided sheets, which have a border, are left out.
     open_edges: Index
@@ -33,20 +33,15 @@ class MeshDiagnosis:
     flipped_edges: Index
 
     @property
-    def _first(self) -> str:
-        return f" ({self.overlaps[0, 0]} and {self.overlaps[0, 1]})" if len(self.overlaps) == 1 else (
-            f" (first {self.overlaps[0, 0]} and {self.overlaps[0, 1]})" if len(self.overlaps) else ""
-        )
-
-    @property
     def is_closed(self) -> bool:
         """Whether the one-sided faces bound solids or rooms: every edge has two faces of consistent orientation."""
         return len(self.open_edges) == len(self.crowded_edges) == len(self.flipped_edges) == 0
 
     def __str__(self) -> str:
+        pair = f" ({self.overlaps[0, 0]} and {self.overlaps[0, 1]})" if len(self.overlaps) else ""
         found = [
             (self.duplicates, "face given twice", "faces given twice"),
-            (self.overlaps, f"pair of faces on each other{self._first}", f"pairs of faces on each other{self._first}"),
+            (self.overlaps, f"pair of faces on each other{pair}", f"pairs of faces on each other{pair}"),
             (self.open_edges, "open edge", "open edges"),
             (self.crowded_edges, "edge of more than two faces", "edges of more than two faces"),
             (self.flipped_edges, "edge between faces turned differently", "edges between faces turned differently"),

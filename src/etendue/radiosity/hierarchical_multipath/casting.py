@@ -117,8 +117,8 @@ def lists(
 
     An end is a patch (``sides`` (f, 2) of faces: front, back), n the sky, n + 1 dark, or n + 2 + r region r of the
     part's own box. ``coincident`` (f,): 1 for faces that lie back to back on others and are set apart, 2 for those of
-    them that are part of no solid, else 0; ``reach``: largest distance of two such faces; ``is_interior``: whether faces
-    bound a room. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
+    them that are part of no solid, else 0; ``reach``: largest distance of two such faces; ``is_interior``: whether
+    faces bound a room. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
     regions of children where a line enters and leaves; number of lines through each region (r,), and the sum of their
     transmittances (r,); regions and the faces hit first behind them (y, 2); numbers of tests of polygons and of boxes
     of copies; whether a line had too many hits.

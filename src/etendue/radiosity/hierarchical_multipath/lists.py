@@ -154,8 +154,8 @@ def lists_of(
     part, n = rays.part, len(rays.part)
     transmittances = np.array([inner[child].transmittance for child, _ in part.children]).ravel()
     resolution = np.array([regions.grid, regions.around, regions.up, n])
-    known = (rays.corners, rays.links, rays.order, rays.faces, rays.normals, rays.sides, *rays.coincident)
-    known = (*known, rays.boxes, rays.matrices)
+    tree = rays.corners, rays.links, rays.order
+    known = *tree, rays.faces, rays.normals, rays.sides, *rays.coincident, rays.boxes, rays.matrices
 
     def cast(start: int) -> Any:
         u = points.block(min(_BLOCK, count - start), first + start)

@@ -100,9 +100,11 @@ class ChainedRays(LineEngine):
             hits = self.scene.first_hits(origins[line] + travelled[:, None] * directions[line], directions[line])
         else:
             raise RadiosityError(f"a line meets more than {_MOST_HITS} faces; check the mesh for coincident faces")
-        of, face, depth = (np.concatenate([part[i] for part in found] or [[]]) for i in range(3))
+        if not found:
+            return np.empty((0, 2), np.uint32), np.empty(0, np.int64)
+        of, face, depth = (np.concatenate([part[i] for part in found]) for i in range(3))
         order = np.argsort(of, kind="stable")
-        of, face, depth = of[order].astype(np.int64), face[order].astype(np.int64), depth[order]
+        of, face, depth = of[order], face[order], depth[order]
         near, far = self._settled(of, face, depth, directions[of], first)
         # Each hit ends a segment; the last one begins another if its line ends in the sky.
         begins = np.diff(of, prepend=-1) != 0

@@ -127,8 +127,9 @@ def exchanges(
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
     of a face; ``coincident``: for each face 1 if it lies back to back on others, 2 if it is also part of no solid. Two
     faces of opposite orientation closer to each other than the first of the ``gaps`` (coincident ones: the second) may
-    be a sheet, or solids that touch (a box on the floor). Their order is not decided by rounding but by whether the line is inside a solid, that is,
-    behind the back of a face. ``solid``: whether the scene is an interior, so that lines begin inside a solid.
+    be a sheet, or solids that touch (a box on the floor). Their order is not decided by rounding but by whether the
+    line is inside a solid, that is, behind the back of a face. ``solid``: whether the scene is an interior, so that
+    lines begin inside a solid.
     """
     dark = sky + 1
     lines, first, count = _Lines(lists, sides, coincident, dark, gaps, solid), lists.first, lists.count
@@ -242,8 +243,8 @@ class _Lines:
             pair_after,
             label="line lists: first face",
         )
-        # The line has only pairs: sheets, or, if their number is even, the walls of a box in a corner of a room. Faces that
-        # are no pair are a touched corner: they keep their order.
+        # The line has only pairs: sheets, or, if their number is even, the walls of a box in a corner of a room. Faces
+        # that do not coincide are a touched corner: they keep their order.
         is_box = (kind == 1) & (((alone - i) & 3) == 0)
         of_pairs = self._solid & ((kind == 0) | is_box)
         corner = of_pairs | ((kind == 0) & (near == self._dark) & (following - at > 1))

@@ -55,8 +55,8 @@ def rasterise(
     """Segments (k, 2) of the lines of some bundles, line by line, from the near end of each line on.
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of each face
-    seen from the front, then seen from the back, ``patches + 1`` for none; coincident (f,), 1 for faces that lie back to
-    back on others, 2 for those of them that are part of no solid, else 0; frames (b, 3, 3) as of
+    seen from the front, then seen from the back, ``patches + 1`` for none; coincident (f,), 1 for faces that lie back
+    to back on others, 2 for those of them that are part of no solid, else 0; frames (b, 3, 3) as of
     :meth:`Bundles.frames`; shifts (b, 2) of the grid in units of ``spacing``; centre (3,), reach: only lines at most
     ``reach`` from ``centre`` along both axes of the grid are cast; room, the initial capacity for hits of a bundle;
     solid, whether the scene is an interior, so that lines begin behind the backs of faces.
@@ -98,7 +98,9 @@ def rasterise(
             pairs = _grown_pairs(pairs, 2 * (made + 2 * count) + 1, made)
         line = 0
         while True:
-            line, made = _walk(heads, columns * rows, hits, nexts, ends, coincident, order, pairs, line, made, patches, solid)
+            line, made = _walk(
+                heads, columns * rows, hits, nexts, ends, coincident, order, pairs, line, made, patches, solid
+            )
             if line == columns * rows:
                 break
             order = np.empty(2 * len(order), np.uint64)
