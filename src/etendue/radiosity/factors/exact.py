@@ -73,7 +73,7 @@ def exact_form_factors(patches: Patches) -> FormFactors:
     errors.data = np.zeros_like(errors.data)
     sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
     sky[sky < _CLOSED] = 0.0
-    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64))
+    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64), dark)
 
 
 def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
