@@ -57,7 +57,7 @@ def solve_hierarchy(request: HierarchyRequest, saved: Checkpoint | None, device:
     """From a request to files. Returns the exit status."""
     from etendue.jobs import HierarchyWork
 
-    from .solutions import cast
+    from .solutions import cast, exit_status
 
     device.choose()
     began, console = time.perf_counter(), error_console()
@@ -72,7 +72,7 @@ def solve_hierarchy(request: HierarchyRequest, saved: Checkpoint | None, device:
     _describe_result(result)
     note(console, f"in {format_seconds(time.perf_counter() - began)}")
     say("\n".join(map(str, request.files)))
-    return outcome.exit_code
+    return outcome.exit_code or exit_status(result)
 
 
 def resume_hierarchy(

@@ -332,9 +332,9 @@ def _run(request: LinesRequest, open_work: Callable[..., Any], device: opt.Devic
             outcome = cast(work)
         if outcome.result is None:
             return outcome.exit_code
-        finish(work, outcome.result)
+        status = finish(work, outcome.result)
     _end(began, request)
-    return outcome.exit_code
+    return outcome.exit_code or status
 
 
 def _run_exact(request: FormFactorRequest, device: opt.Device) -> int:
@@ -358,9 +358,9 @@ def _run_ambient(request: RadiosityRequest, device: opt.Device) -> int:
     device.choose()
     began = time.perf_counter()
     with _ended_by_ctrl_c(None):
-        ambient_to_files(request)
+        status = ambient_to_files(request)
     _end(began, request)
-    return 0
+    return status
 
 
 def _write_again(request: RadiosityRequest, solution: Path, device: opt.Device) -> int:
@@ -370,9 +370,9 @@ def _write_again(request: RadiosityRequest, solution: Path, device: opt.Device) 
     device.choose()
     with _ended_by_ctrl_c(None):
         problem = request.problem(lambda text: note(error_console(), text))
-        solution_to_files(request, problem, solution)
+        status = solution_to_files(request, problem, solution)
     say("\n".join(map(str, request.files)))
-    return 0
+    return status
 
 
 def _end(began: float, request: LinesRequest) -> None:

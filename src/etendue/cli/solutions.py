@@ -17,12 +17,21 @@ from .rendering import Outcome, follow
 
 if TYPE_CHECKING:
     from etendue.engine import RunResult
-    from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest, RequestedWork
+    from etendue.jobs import (
+        FormFactorRequest,
+        HierarchyResult,
+        LinesRequest,
+        PatchWork,
+        RadiosityRequest,
+        RequestedWork,
+    )
     from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments
     from etendue.scene import Problem
 
 #: Share of the sky above which a warning is given; single convex solids see only the sky.
 _ALL_SKY = 0.999
+#: Exit status if the power of a solution is not balanced.
+UNBALANCED = 8
 #: Share of the sky below which it is not reported.
 _NO_SKY = 1e-6
 
@@ -32,8 +41,13 @@ def cast(work: RequestedWork[Any, Any]) -> Outcome[RunResult]:
     return follow(lambda: start_work(lambda: Passes(work)), error_console(), work.request.work)
 
 
-def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
-    """Make the result, write it and report it."""
+def exit_status(result: RadiosityResult | HierarchyResult) -> int:
+    """0, or :data:`UNBALANCED`."""
+    return 0 if result.is_balanced else UNBALANCED
+
+
+def finish(work: PatchWork[Any, Any], run: RunResult) -> int:
+    """Make the result, write it and report it. Returns the exit status."""
     console = error_console()
     with console.status("counting") as status:
         result = work.finish(run, status.update, partial(_describe_segments, console))
@@ -43,9 +57,10 @@ def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
             f"{result.factors.matrix.nnz} form factors ({work.request.chosen_estimator}), {_rows(result.factors)}, "
             f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
         )
-    else:
-        _describe_shown(work.request, result.lightmap)
-        _describe_solution(work.request, result)
+        return 0
+    _describe_shown(work.request, result.lightmap)
+    _describe_solution(work.request, result)
+    return exit_status(result)
 
 
 def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
@@ -63,8 +78,8 @@ def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
     _say(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
 
 
-def ambient_to_files(request: RadiosityRequest) -> None:
-    """Solve by an ambient term, write, and say what came of it."""
+def ambient_to_files(request: RadiosityRequest) -> int:
+    """Solve by an ambient term, write, and say what came of it. Returns the exit status."""
     from etendue.jobs import solve_ambient
 
     with error_console().status("reading") as status:
@@ -74,12 +89,13 @@ def ambient_to_files(request: RadiosityRequest) -> None:
         f"{request.ambient} ambient term: {1000 * result.elapsed:.0f} ms, without lines, shadows and distances; "
         f"imbalance of power {result.solution.imbalance:.2g}"
     )
+    return exit_status(result)
 
 
-def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> None:
-    """Write the outputs of a solution from a file."""
+def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> int:
+    """Write the outputs of a solution from a file. Returns the exit status."""
     from etendue.jobs import Writing
-    from etendue.radiosity import read_solution
+    from etendue.radiosity import check_balance, read_solution
 
     solution, error = read_solution(solved)
     request.outputs.check_source(solution.patches, problem, request.wording)
@@ -88,6 +104,7 @@ def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved
         shown = request.outputs.write(writing, problem, solution, error, known, request.wording, status.update)
         writing.finish()
     _describe_shown(request, shown.lightmap)
+    return 0 if check_balance(solution, error) else UNBALANCED
 
 
 def _rows(factors: FormFactors) -> str:

@@ -19,6 +19,8 @@ from etendue.radiosity import (
     PartProblem,
     Patches,
     check_divisible,
+    is_balanced,
+    relative_error,
     scene_part,
 )
 
@@ -141,6 +143,8 @@ class HierarchyResult(InNotebooks):
     #: What ended the run: ``seconds``, ``samples`` (passes), ``error`` or ``cancel``.
     stopped_by: str
     elapsed: float
+    #: Whether the power that enters leaves again, up to errors; if not, a warning is given.
+    is_balanced: bool = True
     picture: Result | None = None
     lightmap: Lightmap | None = None
     #: For boxes on workers: the messages and bytes sent to each worker.
@@ -206,6 +210,7 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
         request, parts = self.request, self.method.solution(run.measurement)
         result = HierarchyResult(
             *(parts, self.patches, None, None, len(run.measurement.iterations), str(run.stopped_by), run.elapsed),
+            is_balanced=is_balanced(parts.imbalance, relative_error(parts)),
             correspondence=self._correspondence,
         )
         if result.patches is None and request.outputs.written:

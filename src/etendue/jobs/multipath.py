@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import CheckpointError, format_count, logger, prepared
-from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError
+from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError, check_balance
 
 from .lines import patch_recipe
 from .requests import RadiosityRequest
@@ -95,6 +95,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
             elapsed=run.elapsed,
             solution=solution,
             irradiance_error=error,
+            is_balanced=check_balance(solution, error),
             points=run.samples,
             shot=self.method.shot,
             picture=shown.picture,

@@ -47,6 +47,8 @@ class RadiosityResult(LinesResult):
     solution: Solution
     #: (n, c) standard error of the irradiance; ``None`` if there are no lines, or too few to estimate it.
     irradiance_error: Array | None
+    #: Whether the power that enters leaves again, up to errors; if not, a warning is given.
+    is_balanced: bool = True
     #: The stored lines; ``None`` for multipath, which stores none.
     segments: Segments | None = None
     #: Points of the lines of multipath; 0 for other solvers.

@@ -18,6 +18,7 @@ from etendue.engine import Job, Runner, replicated
 from etendue.radiosity import (
     PartialSegments,
     ambient_solution,
+    check_balance,
     form_factors,
     partial_form_factors,
     save_form_factors,
@@ -349,6 +350,7 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
             **self._cast(run, lines, segments),
             solution=solution,
             irradiance_error=error,
+            is_balanced=check_balance(solution, error),
             shot=shot,
             picture=shown.picture,
             lightmap=shown.lightmap,
@@ -381,12 +383,11 @@ def solve_ambient(
     known, writing = about(source, solver=f"ambient, {request.ambient}", imbalance=solution.imbalance), Writing()
     shown = request.outputs.write(writing, problem, solution, None, known, request.wording, tell, request.making())
     writing.finish()
+    about_run: Any = {"patches": patches, "stopped_by": "ambient", "elapsed": elapsed, "irradiance_error": None}
     return RadiosityResult(
-        patches=patches,
-        stopped_by="ambient",
-        elapsed=elapsed,
+        **about_run,
         solution=solution,
-        irradiance_error=None,
+        is_balanced=check_balance(solution, None),
         picture=shown.picture,
         lightmap=shown.lightmap,
     )

@@ -42,6 +42,7 @@ from etendue.surfaces import (
 from .ambient.solutions import ambient_solution, finished
 from .ambient.spreading import spread
 from .ambient.subscenes import HierarchicalAmbient, SubScene, hierarchical_ambient, sub_scenes, sub_scenes_of
+from .balance import check_balance, is_balanced
 from .casting import REPLICATES, CastingSettings, CastLines, LineCasting
 from .errors import RadiosityError
 from .factors.exact import exact_form_factors
@@ -164,6 +165,7 @@ __all__ = [
     "band_shares",
     "box",
     "breadth_first",
+    "check_balance",
     "check_colours",
     "check_coordinates",
     "check_direct",
@@ -184,6 +186,7 @@ __all__ = [
     "grouped",
     "hierarchical_ambient",
     "instanced_patches",
+    "is_balanced",
     "joined",
     "least_error_shares",
     "lightmap",

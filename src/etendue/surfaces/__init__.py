@@ -10,6 +10,7 @@ from .ambient import (
     equal_factors,
     incoming,
 )
+from .coincident import REACH_OF_PAIRS, Coincident, box_tree, is_interior, surfaces_of
 from .diagnosis import MeshDiagnosis, diagnose
 from .errors import PatchError, SurfaceError
 from .faces import face_vectors, triangles
@@ -52,9 +53,11 @@ __all__ = [
     "CLASS_NORMALS",
     "LIGHTMAP_MESHES",
     "PARTICLE_BYTES",
+    "REACH_OF_PAIRS",
     "STEFAN_BOLTZMANN",
     "STEP",
     "AmbientTerm",
+    "Coincident",
     "HistogramBuilder",
     "Hits",
     "Irradiance",
@@ -84,6 +87,7 @@ __all__ = [
     "band_shares",
     "bounding_sphere",
     "box",
+    "box_tree",
     "check_coordinates",
     "class_factors",
     "class_light",
@@ -101,6 +105,7 @@ __all__ = [
     "has_instances",
     "incoming",
     "irradiance_at",
+    "is_interior",
     "joined",
     "joint_sphere",
     "lightmap_from",
@@ -119,6 +124,7 @@ __all__ = [
     "shape_triangles",
     "shown_exposure",
     "solution_map",
+    "surfaces_of",
     "thermal",
     "triangles",
     "variable_bandwidths",

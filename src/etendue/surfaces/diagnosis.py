@@ -22,6 +22,9 @@ class MeshDiagnosis:
 
     #: Duplicates: faces with the corners of an earlier one in the same order. It is arbitrary which one a line hits.
     duplicates: Index
+    #: Pairs (k, 2) of other faces that lie on each other, in part or as a whole, and face the same way, such as a door
+    #: on a wall. It is arbitrary which of the two a line hits.
+    overlaps: Index
     #: Edges of one face only, (e, 2) vertex indices; two-sided sheets, which have a border, are left out.
     open_edges: Index
     #: Edges of more than two faces.
@@ -35,8 +38,10 @@ class MeshDiagnosis:
         return len(self.open_edges) == len(self.crowded_edges) == len(self.flipped_edges) == 0
 
     def __str__(self) -> str:
+        pair = f" ({self.overlaps[0, 0]} and {self.overlaps[0, 1]})" if len(self.overlaps) else ""
         found = [
             (self.duplicates, "face given twice", "faces given twice"),
+            (self.overlaps, f"pair of faces on each other{pair}", f"pairs of faces on each other{pair}"),
             (self.open_edges, "open edge", "open edges"),
             (self.crowded_edges, "edge of more than two faces", "edges of more than two faces"),
             (self.flipped_edges, "edge between faces turned differently", "edges between faces turned differently"),
@@ -46,7 +51,7 @@ class MeshDiagnosis:
 
 
 def diagnose(patches: Patches) -> MeshDiagnosis:
-    """Find duplicate faces, and edges that a closed mesh cannot have."""
+    """Find faces that lie on each other, and edges that a closed mesh cannot have."""
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[patches.faces]
     sided = np.flatnonzero(patches.back < 0)
@@ -59,8 +64,10 @@ def diagnose(patches: Patches) -> MeshDiagnosis:
     key = np.minimum(start, end) * (len(place) + 1) + np.maximum(start, end)
     _, first, inverse, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     forward = np.bincount(inverse.reshape(-1), start < end)
+    duplicates, clashing = repeated(patches.vertices, patches.faces), patches.coincident.clashing
     return MeshDiagnosis(
-        duplicates=repeated(patches.vertices, patches.faces),
+        duplicates=duplicates,
+        overlaps=clashing[~np.isin(clashing, duplicates).any(axis=1)],
         open_edges=where[first[count == 1]],
         crowded_edges=where[first[count > 2]],
         flipped_edges=where[first[(count == 2) & (forward != 1)]],

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, InNotebooks, free_memory
 from etendue.scene import warn_of_steps
 
+from .coincident import Coincident
 from .errors import PatchError
 from .faces import face_vectors, flat_faces
 from .subdivision import subdivide
@@ -220,6 +221,11 @@ class Patches(InNotebooks):
 
     def _both_sides(self, fronts: Array) -> Array:
         return np.concatenate([fronts, fronts[self._sheets]])
+
+    @cached_property
+    def coincident(self) -> Coincident:
+        """Faces that lie on each other."""
+        return Coincident.of(self)
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:

@@ -58,30 +58,6 @@ def exchange_rows(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def overlapping(sides: Array, planes: Array) -> tuple[int, int]:
-    """The first two coplanar faces that overlap; -1 if there are none."""
-    buffers = np.empty((2, 32, 3))
-    edge = np.empty(4)
-    for a in range(len(sides)):
-        p = sides[a]
-        for b in range(a + 1, len(sides)):
-            q = sides[b]
-            if _apart(p, q, _BETWEEN) or _farthest(q, planes[a]) > _BETWEEN or _nearest(q, planes[a]) < -_BETWEEN:
-                continue
-            count = 4
-            buffers[0, :4] = q
-            for i in range(4):
-                if _through(p[i], p[(i + 1) % 4], p[i] + planes[a, :3], edge):
-                    edge *= -1.0  # the cross product of edge and normal points outward
-                    edge[3] += _BETWEEN
-                    count = _cut(buffers[0], count, edge, buffers[1])
-                    buffers[0, :count] = buffers[1, :count]
-            if count > 2:
-                return a, b
-    return -1, -1
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def _exchange(
     p: Array, of_p: Array, q: Array, of_q: Array, blockers: Array, polygons: Array, buffers: Array, plane: Array
 ) -> tuple[float, int]:
@@ -253,21 +229,6 @@ def _farthest(p: Array, plane: Array) -> float:
     for i in range(len(p)):
         most = max(most, plane[0] * p[i, 0] + plane[1] * p[i, 1] + plane[2] * p[i, 2] - plane[3])
     return most
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _apart(p: Array, q: Array, margin: float) -> bool:
-    """Whether the bounding boxes of two polygons are more than ``margin`` apart."""
-    for c in range(3):
-        p_low = p_high = p[0, c]
-        q_low = q_high = q[0, c]
-        for i in range(1, len(p)):
-            p_low, p_high = min(p_low, p[i, c]), max(p_high, p[i, c])
-        for i in range(1, len(q)):
-            q_low, q_high = min(q_low, q[i, c]), max(q_high, q[i, c])
-        if p_low > q_high + margin or q_low > p_high + margin:
-            return True
-    return False
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

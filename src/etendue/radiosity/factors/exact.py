@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, free_memory, sparse
-from etendue.surfaces import Patches, diagnose, face_vectors
+from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 
 from ..errors import RadiosityError
 from ..parallel import compiled, in_order, threads
@@ -45,8 +45,8 @@ def exact_form_factors(patches: Patches) -> FormFactors:
     centre, radius = patches.sphere
     corners = (patches.vertices[patches.faces] - centre) / radius
     planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
-    upper, lower = loops.overlapping(corners, planes)
-    if upper >= 0:
+    if len(patches.coincident.pairs):
+        upper, lower = patches.coincident.pairs[0]
         raise RadiosityError(
             f"faces {upper} and {lower} lie on each other; exact form factors are for surfaces that hide nothing from "
             "each other: remove one, or cast lines (ABuffer, or without --exact)"
@@ -73,7 +73,7 @@ def exact_form_factors(patches: Patches) -> FormFactors:
     errors.data = np.zeros_like(errors.data)
     sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
     sky[sky < _CLOSED] = 0.0
-    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64))
+    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64), dark)
 
 
 def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
@@ -89,19 +89,10 @@ def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
 
 def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
     """(f,) whether a face belongs to a closed surface with everything else on its front."""
-    from scipy.sparse.csgraph import connected_components
-
+    part, found = surfaces_of(patches), diagnose(patches)
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     place = place.reshape(-1)
     corners = place[patches.faces]
-    _, part = connected_components(
-        sparse().coo_array(
-            (np.ones(corners[:, 1:].size), (np.repeat(corners[:, 0], 3), corners[:, 1:].ravel())),
-            shape=(place.max() + 1, place.max() + 1),
-        )
-    )
-    part = part[corners[:, 0]]
-    found = diagnose(patches)
     faulty = place[np.concatenate([found.open_edges, found.crowded_edges, found.flipped_edges]).ravel()]
     hidden = np.zeros(len(corners), dtype=bool)
     points = patches.vertices[patches.faces]

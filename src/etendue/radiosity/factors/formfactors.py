@@ -30,6 +30,7 @@ class FormFactors(InNotebooks):
     ``matrix``, ``errors``: (n, n) CSR arrays of SciPy: F, and the standard error of each entry, with the same
     structure.
     ``sky``: (n,) the share that leaves the scene. ``areas``: (n,). ``lines``: (n,) lines or rays behind each row.
+    ``dark``: (n,) the share that ends on backs of faces, by default none.
     """
 
     matrix: scipy.sparse.csr_array
@@ -37,6 +38,11 @@ class FormFactors(InNotebooks):
     sky: Array
     areas: Array
     lines: NDArray[np.int64] | Array
+    dark: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.dark is None:
+            object.__setattr__(self, "dark", np.zeros(len(self.areas)))
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -50,7 +56,7 @@ class FormFactors(InNotebooks):
         return self.matrix @ x + light * np.asarray(sky)
 
     def row_sums(self) -> Array:
-        """(n,) row sums including the sky; 1 in a closed scene, up to the error."""
+        """(n,) row sums including the sky; 1 minus ``dark``, up to the error: 1 in a closed scene."""
         return np.asarray(self.matrix.sum(axis=1)).ravel() + self.sky
 
     def row_errors(self) -> Array:
@@ -65,17 +71,19 @@ class FormFactors(InNotebooks):
         return float(abs(exchange - exchange.T).max() / largest) if largest else 0.0
 
     def normalised(self) -> FormFactors:
-        """Form factors with every row sum 1, for closed scenes: each row is divided by its sum."""
-        sums = self.row_sums()
+        """Form factors with every row sum 1, together with the share on backs of faces: each row is divided by its
+        sum."""
+        sums = self.row_sums() + self.dark
         scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0)
-        rows = _diagonal(scale)
-        return replace(self, matrix=rows @ self.matrix, errors=rows @ self.errors, sky=self.sky * scale)
+        rows, ends = _diagonal(scale), {"sky": self.sky * scale, "dark": self.dark * scale}
+        return replace(self, matrix=rows @ self.matrix, errors=rows @ self.errors, **ends)
 
     def repaired(self) -> FormFactors:
-        """Form factors with every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
+        """Form factors with every row sum 1, together with the share on backs of faces, and ``A_i F_ij = A_j F_ji``, by
+        the smallest change.
 
-        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed with the smallest relative sum of squares, so that zeros
-        remain zero. The sky is not changed. The error of ``A_i F_ij`` is the larger one of both directions. Raises
+        The mean of ``A_i F_ij`` and ``A_j F_ji``, the shares of the sky and of backs are changed with the smallest
+        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both directions. Raises
         :class:`RadiosityError` if a factor would become negative, which means that there are too few lines.
         """
         from scipy.sparse.linalg import lsmr
@@ -83,20 +91,22 @@ class FormFactors(InNotebooks):
         exchange = self._exchange()
         exchange = ((exchange + exchange.T) / 2).tocsr()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
-        missing = self.areas * (1 - self.sky) - sums
-        # The smallest changes have the form S_ij (x_i + x_j); row sums then require (diag(sums) + S) x = missing.
-        system = _diagonal(sums) + exchange
+        ends = self.areas * (self.sky + self.dark)
+        # The smallest changes have the form S_ij (x_i + x_j) of pairs, and S_i x_i of the sky and of backs, which belong
+        # to one row. Row sums then require (diag(all sums) + S) x = missing.
+        missing, system = self.areas - sums - ends, _diagonal(sums + ends) + exchange
         x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]
         changed = exchange.tocoo()
         factor = 1 + x[changed.row] + x[changed.col]
-        if (factor < 0).any():
+        if (factor < 0).any() or ((1 + x < 0) & (ends > 0)).any():
             raise RadiosityError("these form factors are too noisy to be repaired: cast more lines")
         changed.data = changed.data * factor / self.areas[changed.row]
         of_exchange = (_diagonal(self.areas) @ self.errors).tocsr()
         errors = changed.copy()
         errors.data = _entries(of_exchange.maximum(of_exchange.T.tocsr()), changed.row, changed.col)
         errors.data /= self.areas[changed.row]
-        return replace(self, matrix=changed.tocsr(), errors=errors.tocsr())
+        whole = {"sky": self.sky * (1 + x), "dark": self.dark * (1 + x)}
+        return replace(self, matrix=changed.tocsr(), errors=errors.tocsr(), **whole)
 
     def transposed(self) -> FormFactors:
         """Form factors of the opposite direction: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system
@@ -156,8 +166,17 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
         row, column = counts.tocoo().coords
         found = found * (1 + segments.extra[row] + segments.extra[column])
     errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / found)
-    sky = np.divide(segments.to_sky, lines, out=np.zeros(n), where=lines > 0)
-    return FormFactors(matrix, errors, sky, segments.patches.areas, segments.counted)
+    sky, dark = shares(segments, lines)
+    return FormFactors(matrix, errors, sky, segments.patches.areas, segments.counted, dark)
+
+
+def shares(segments: Any, lines: Array) -> tuple[Array, Array]:
+    """(n,) shares of the ``lines`` through each patch that lead to the sky, and to backs of faces."""
+    sky, dark = (
+        np.divide(ends, lines, out=np.zeros(len(lines)), where=lines > 0)
+        for ends in (segments.to_sky, segments.to_dark)
+    )
+    return sky, dark
 
 
 def estimate(

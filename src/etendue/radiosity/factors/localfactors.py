@@ -68,8 +68,8 @@ def local_form_factors(
     errors.data = np.sqrt(np.maximum(squares.data / samples - mean.data**2, 0.0) / (samples - 1))
     lines = np.zeros(n, np.int64)
     lines[chosen] = samples
-    sky = np.asarray(mean[:, [n]].todense()).ravel()
-    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines)
+    sky, dark = np.asarray(mean[:, [n, n + 1]].todense()).T
+    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines, dark)
 
 
 def area_form_factors(

@@ -38,6 +38,7 @@ def write_form_factors(
     file.add("form_factor_error", "entry", errors.data, "standard error of the form factor", _SHARE)
     file.add("area", "patch", factors.areas, "area of the patch", _AREA)
     file.add("sky_share", "patch", factors.sky, "share of the light of a patch that leaves the scene", _SHARE)
+    file.add("dark_share", "patch", factors.dark, "share of the light of a patch that ends on backs of faces", _SHARE)
     file.add("lines", "patch", factors.lines, "lines that met the patch", _SHARE)
     file.add("emissivity", "patch", emissivity, "emissivity of the patch", _SHARE)
     file.write(path)
@@ -51,7 +52,8 @@ def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     matrix, errors = (
         sparse().csr_array((saved[name], *structure), shape=(n, n)) for name in ("form_factor", "form_factor_error")
     )
-    return FormFactors(matrix, errors, saved["sky_share"], saved["area"], saved["lines"].astype(np.int64))
+    dark = saved.get("dark_share", np.zeros(n))
+    return FormFactors(matrix, errors, saved["sky_share"], saved["area"], saved["lines"].astype(np.int64), dark)
 
 
 def save_segments(

@@ -110,6 +110,7 @@ def save_form_factors(
             "errors": errors.data,
             "areas": factors.areas,
             "sky": factors.sky,
+            "dark": factors.dark,
             "lines": factors.lines,
             "emissivity": emitted,
         },
@@ -126,7 +127,8 @@ def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
         with np.load(path, allow_pickle=False) as saved:
             structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
             matrix, errors = (sparse().csr_array((saved[name], *structure), shape=shape) for name in ("data", "errors"))
-            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"])
+            dark = saved["dark"] if "dark" in saved else np.zeros(len(matrix.indptr) - 1)
+            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"], dark)
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of form factors '{path}'") from None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:

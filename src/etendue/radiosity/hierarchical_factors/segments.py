@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, free_memory, sparse
 
 from ..errors import RadiosityError
-from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate
+from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate, shares
 from ..lines.segments import Pairs
 from .tree import SphereTree
 
@@ -166,8 +166,8 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
         errors = _errors(matrix, found, both, lines, patches.areas, estimator)
     for entries in (matrix, errors):
         entries.sort_indices()
-    sky = np.divide(segments.to_sky, lines, out=np.zeros(n), where=lines > 0)
-    return FormFactors(matrix, errors, sky, patches.areas, segments.counted)
+    sky, dark = shares(segments, lines)
+    return FormFactors(matrix, errors, sky, patches.areas, segments.counted, dark)
 
 
 def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, estimator: Estimator) -> Any:

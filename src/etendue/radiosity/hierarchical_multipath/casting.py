@@ -10,96 +10,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: Largest number of primitives of a leaf, number of bins along an axis, and depth of the stack: nodes at the greatest
-#: depth that it allows are leaves of any size.
-_LEAF, _BINS, _DEPTH = 4, 16, 128
+#: Depth of the stack: that of the deepest tree of :func:`etendue.surfaces.box_tree`.
+_DEPTH = 128
 #: Largest number of hits of a line.
 MOST_HITS = 4096
 #: Hits closer to each other than this, in units of the part's size, are at the same place.
 _SAME_PLACE = 1e-10
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def build(low: Any, high: Any) -> Any:
-    """A tree over boxes (n, 3): corners of its nodes (m, 2, 3), links (m, 3), the order of the primitives, and the
-    depth of the deepest leaf.
-
-    Links are: the second child (the first child follows its parent), or of a leaf its first place in the order; the
-    number of primitives of a leaf, 0 for inner nodes; the axis of the split. Splits minimise the surface area
-    heuristic.
-    """
-    count = len(low)
-    order = np.arange(count)
-    corners = np.empty((2 * count + 1, 2, 3))
-    links = np.zeros((2 * count + 1, 3), np.int64)
-    stack = np.empty((_DEPTH, 4), np.int64)
-    stack[0] = 0, count, -1, 0
-    top, made, deepest = 1, 0, 0
-    bins_low, bins_high = np.empty((_BINS, 3)), np.empty((_BINS, 3))
-    bins, area = np.empty(_BINS, np.int64), np.empty(_BINS)
-    while top > 0:
-        top -= 1
-        begin, end, parent, depth = stack[top]
-        deepest = max(deepest, depth)
-        node = made
-        made += 1
-        if parent >= 0:
-            links[parent, 0] = node
-        first, last = np.full(3, np.inf), np.full(3, -np.inf)
-        middle_low, middle_high = np.full(3, np.inf), np.full(3, -np.inf)
-        for k in range(begin, end):
-            for a in range(3):
-                x, y = low[order[k], a], high[order[k], a]
-                first[a], last[a] = min(first[a], x), max(last[a], y)
-                middle_low[a], middle_high[a] = min(middle_low[a], x + y), max(middle_high[a], x + y)
-        corners[node, 0], corners[node, 1] = first, last
-        axis = np.argmax(middle_high - middle_low)
-        width = middle_high[axis] - middle_low[axis]
-        if end - begin <= _LEAF or width <= 0 or depth == _DEPTH - 1:
-            links[node, 0], links[node, 1] = begin, end - begin
-            continue
-        bins[:], bins_low[:], bins_high[:] = 0, np.inf, -np.inf
-        for k in range(begin, end):
-            p = order[k]
-            b = min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1)
-            bins[b] += 1
-            for a in range(3):
-                bins_low[b, a], bins_high[b, a] = min(bins_low[b, a], low[p, a]), max(bins_high[b, a], high[p, a])
-        # Area times number of primitives on the right of each split, then on its left.
-        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
-        for b in range(_BINS - 1, 0, -1):
-            n += bins[b]
-            for a in range(3):
-                first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
-            area[b] = n * _half_area(first, last) if n else 0.0
-        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
-        best, cut = np.inf, 1
-        for b in range(_BINS - 1):
-            n += bins[b]
-            for a in range(3):
-                first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
-            cost = (n * _half_area(first, last) if n else 0.0) + area[b + 1]
-            if 0 < n < end - begin and cost < best:
-                best, cut = cost, b + 1
-        left, right = begin, end - 1
-        while left <= right:
-            p = order[left]
-            if min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1) < cut:
-                left += 1
-            else:
-                order[left], order[right] = order[right], order[left]
-                right -= 1
-        links[node, 2] = axis
-        stack[top] = left, end, node, depth + 1
-        stack[top + 1] = begin, left, -1, depth + 1
-        top += 2
-    return corners[:made].copy(), links[:made].copy(), order, deepest
-
-
-@njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def _half_area(low: Any, high: Any) -> Any:
-    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
-    return x * y + y * z + z * x
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -186,6 +102,9 @@ def lists(
     faces: Any,
     normals: Any,
     sides: Any,
+    coincident: Any,
+    reach: Any,
+    is_interior: Any,
     boxes: Any,
     matrices: Any,
     transmittances: Any,
@@ -197,7 +116,9 @@ def lists(
     """Cut lines through a part into stretches: two ends, and the boxes of copies that are crossed between them.
 
     An end is a patch (``sides`` (f, 2) of faces: front, back), n the sky, n + 1 dark, or n + 2 + r region r of the
-    part's own box. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
+    part's own box. ``coincident`` (f,): 1 for faces that lie back to back on others and are set apart, 2 for those of
+    them that are part of no solid, else 0; ``reach``: largest distance of two such faces; ``is_interior``: whether
+    faces bound a room. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
     regions of children where a line enters and leaves; number of lines through each region (r,), and the sum of their
     transmittances (r,); regions and the faces hit first behind them (y, 2); numbers of tests of polygons and of boxes
     of copies; whether a line had too many hits.
@@ -215,6 +136,7 @@ def lists(
     stack = np.empty(_DEPTH, np.int64)
     inverse, inner_o, inner_d, inner_inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     tests, box_tests = 0, 0
+    pairs_exist = coincident.any()
     for line in range(len(origins)):
         o, d = origins[line], directions[line]
         for a in range(3):
@@ -271,6 +193,8 @@ def lists(
                 place[j + 1, 0], place[j + 1, 1] = place[j, 0], place[j, 1]
                 j -= 1
             at[j + 1], what[j + 1], leaves[j + 1], place[j + 1, 0], place[j + 1, 1] = t, w, leave, p0, p1
+        if pairs_exist:
+            _settle(at, what, leaves, hits, len(faces), normals, d, coincident, reach, is_interior)
         left, last = sky, sky
         if not is_root:
             near, far = slab(own, o, inverse)
@@ -332,6 +256,72 @@ def lists(
         box_tests,
         False,
     )
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _settle(
+    at: Any,
+    what: Any,
+    leaves: Any,
+    hits: Any,
+    count: Any,
+    normals: Any,
+    d: Any,
+    coincident: Any,
+    reach: Any,
+    is_interior: Any,
+) -> None:
+    """Order the hits of faces that lie back to back and are set apart: outside of solids a line meets the front of one
+    first, inside a solid that touches another one it leaves the solid first. The faces that are in no pair tell whether
+    a line is inside."""
+    inside, is_known, pairs, kind = False, False, 0, 0
+    k = 0
+    while k < hits:  # the first face that is in no pair
+        if what[k] < count:
+            if not _is_pair(k, at, what, leaves, hits, count, normals, d, coincident, reach):
+                inside, is_known = leaves[k], True
+                break
+            kind = min(coincident[what[k]], coincident[what[k + 1]]) if pairs == 0 else kind
+            pairs += 1
+            k += 1
+        k += 1
+    if not is_known:
+        inside = is_interior and kind == 1 and pairs % 2 == 0
+    k = 0
+    while k < hits:
+        if what[k] < count:
+            if _is_pair(k, at, what, leaves, hits, count, normals, d, coincident, reach):
+                if inside:
+                    at[k], at[k + 1] = at[k + 1], at[k]
+                    what[k], what[k + 1] = what[k + 1], what[k]
+                    leaves[k], leaves[k + 1] = True, False
+                k += 1
+            else:
+                inside = not leaves[k]
+        k += 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _is_pair(
+    k: Any,
+    at: Any,
+    what: Any,
+    leaves: Any,
+    hits: Any,
+    count: Any,
+    normals: Any,
+    d: Any,
+    coincident: Any,
+    reach: Any,
+) -> Any:
+    """Whether hit ``k`` and the next one are of two faces that lie back to back and were set apart."""
+    if k + 1 >= hits or what[k + 1] >= count or leaves[k] or not leaves[k + 1]:
+        return False
+    p = what[k]
+    if coincident[p] == 0 or coincident[what[k + 1]] == 0:
+        return False
+    along = normals[p, 0] * d[0] + normals[p, 1] * d[1] + normals[p, 2] * d[2]
+    return abs(along) * (at[k + 1] - at[k]) < reach * np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 from etendue.points import PointSet
+from etendue.surfaces import REACH_OF_PAIRS, box_tree, is_interior
 
 from ..errors import RadiosityError
 from ..lines.generators import box_lines
@@ -44,10 +45,16 @@ class PartRays:
         self.own = np.stack(part.bounds)
         self.size = float(np.linalg.norm(self.own[1] - self.own[0]))
         patches, children = part.patches, part.children
-        self.faces = np.zeros((0, 4, 3)) if patches is None else np.ascontiguousarray(patches.vertices[patches.faces])
+        self.faces = np.zeros((0, 4, 3))
         self.normals = np.zeros((0, 3)) if patches is None else patches.face_normals
         self.sides = np.zeros((0, 2), dtype=np.int64)
+        #: Which faces lie back to back, the largest distance of two of them, and whether faces bound a room.
+        self.coincident = np.zeros(0, np.uint8), 0.0, False
         if patches is not None:
+            patches.coincident.warn(patches)
+            vertices, faces = patches.coincident.apart(patches)
+            self.faces = np.ascontiguousarray(vertices[faces])
+            self.coincident = patches.coincident.kinds, REACH_OF_PAIRS * patches.sphere[1], is_interior(patches)
             back = np.where(patches.back < 0, len(patches) + 1, patches.back)
             self.sides = np.stack([patches.front, back], axis=1)
         self.boxes = np.array([np.stack(child.bounds) for child, _ in children]).reshape(-1, 2, 3)
@@ -59,8 +66,7 @@ class PartRays:
             placed = points @ matrix[:3, :3].T + matrix[:3, 3]
             low.append(placed.min(axis=0)[None])
             high.append(placed.max(axis=0)[None])
-        built = _loops().build(np.concatenate(low), np.concatenate(high))
-        self.corners, self.links, self.order, self.depth = built
+        self.corners, self.links, self.order, self.depth = box_tree(np.concatenate(low), np.concatenate(high))
 
 
 @dataclass(frozen=True)
@@ -148,7 +154,8 @@ def lists_of(
     part, n = rays.part, len(rays.part)
     transmittances = np.array([inner[child].transmittance for child, _ in part.children]).ravel()
     resolution = np.array([regions.grid, regions.around, regions.up, n])
-    known = (rays.corners, rays.links, rays.order, rays.faces, rays.normals, rays.sides, rays.boxes, rays.matrices)
+    tree = rays.corners, rays.links, rays.order
+    known = *tree, rays.faces, rays.normals, rays.sides, *rays.coincident, rays.boxes, rays.matrices
 
     def cast(start: int) -> Any:
         u = points.block(min(_BLOCK, count - start), first + start)

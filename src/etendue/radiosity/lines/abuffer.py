@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, free_memory, logger
 from etendue.points import PointSet
-from etendue.surfaces import Patches
+from etendue.surfaces import Patches, is_interior
 
 from ..errors import RadiosityError
 from ..parallel import compiled, in_order
@@ -30,10 +30,6 @@ _BUNDLES = 8
 #: Lanes, and slots for hits, of one set of kernels on the CPU, and on a GPU, which needs more. A slot takes about 80
 #: bytes.
 _PLACES, _PLACES_CUDA = 1 << 21, 1 << 24
-#: Faces closer to each other than this are ordered by their orientation, in radii of the scene.
-_GAP = 2e-7
-#: Smaller volumes count as zero, in units of the cubed radius.
-_VOLUME = 1e-9
 #: Default mean number of lines per patch and bundle, and smallest number of lines.
 LINES_PER_PATCH, _FEWEST = 4.0, 16384
 #: Default limit on the lines of a bundle: in total, or per patch if that is more. A line of the grid takes some bytes
@@ -93,14 +89,15 @@ class ABuffer(LineEngine):
         self._vertices = (patches.vertices[used] - self.bundles.centre) / self.bundles.radius
         self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
         #: Whether the scene is an interior.
-        self.solid = self._is_inside()
+        self.solid = is_interior(patches)
         front, back = patches.front, np.where(patches.back < 0, len(patches) + 1, patches.back)
         self._ends = np.stack([front, back, back, front], axis=1).reshape(-1, 2).astype(np.uint32)
+        self._coincident = patches.coincident.kinds
 
     @property
-    def arrays(self) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32]]:
-        """Vertices, faces and their sides for the compiled loops, in radii of the scene."""
-        return self._vertices, self._faces, self._ends
+    def arrays(self) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint8]]:
+        """Vertices, faces, their sides and which coincide, for the compiled loops, in radii of the scene."""
+        return self._vertices, self._faces, self._ends, self._coincident
 
     @staticmethod
     def suits(patches: Patches) -> bool:
@@ -134,15 +131,6 @@ class ABuffer(LineEngine):
 
         return in_order(task(*piece) for piece in pieces)
 
-    def _is_inside(self) -> bool:
-        """Whether the one-sided faces face the inside of a closed space, such as a room, and not the outside of solids;
-        determined by the sign of the volume."""
-        p = self._vertices[self._faces[self.patches.back < 0]]
-        if len(p) == 0:
-            return False
-        areas = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
-        return bool((p[:, 0] * areas).sum() / 3 < -_VOLUME)
-
     def _points_of(self, count: int) -> PointSet:
         return SpiralPoints(directions=count) if self.points is self._default else self.points
 
@@ -156,10 +144,10 @@ class ABuffer(LineEngine):
             self._vertices,
             self._faces,
             self._ends[::2],
+            self._coincident,
             len(self.patches),
             radius=1.0,
             spacing=self._spacing,
-            gap=_GAP,
             solid=self.solid,
         )
 

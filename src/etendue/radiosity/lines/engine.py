@@ -27,7 +27,8 @@ class LineEngine(ABC):
 
     points: by default a scrambled Sobol' sequence.
 
-    The same points give the same segments, on any number of threads. Raises :class:`RadiosityError` for points of
+    The same points give the same segments, on any number of threads. Warns of faces that lie on each other and face the
+    same way, of which a line finds an arbitrary one. Raises :class:`RadiosityError` for points of
     another dimension.
     """
 
@@ -35,6 +36,7 @@ class LineEngine(ABC):
     bundles: Bundles | None = None
 
     def __init__(self, patches: Patches, points: PointSet | None = None) -> None:
+        patches.coincident.warn(patches)
         self.patches = patches
         self.points = OwenSobol(4) if points is None else points
         if self.points.dimension != 4:

@@ -119,16 +119,20 @@ def _sort_many(lists: Lists, chosen: mi.Bool) -> None:
     dr.while_loop((zero,), lambda i: i < count, place, label="line lists: many hits")
 
 
-def exchanges(lists: Lists, sides: mi.UInt32, sky: mi.UInt32, gap: mi.UInt32, solid: mi.Bool) -> mi.UInt64:
+def exchanges(
+    lists: Lists, sides: mi.UInt32, coincident: mi.UInt32, sky: mi.UInt32, gaps: list[mi.UInt32], solid: mi.Bool
+) -> mi.UInt64:
     """Segments of all lines as numbers of 64 bits, the near patch in the lower half.
 
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
-    of a face. Two faces of opposite orientation closer to each other than ``gap`` may be a sheet, or solids that touch
-    (a box on the floor). Their order is not decided by rounding but by whether the line is inside a solid, that is,
-    behind the back of a face. ``solid``: whether the scene is an interior, so that lines begin inside a solid.
+    of a face; ``coincident``: for each face 1 if it lies back to back on others, 2 if it is also part of no solid. Two
+    faces of opposite orientation closer to each other than the first of the ``gaps`` (coincident ones: the second) may
+    be a sheet, or solids that touch (a box on the floor). Their order is not decided by rounding but by whether the
+    line is inside a solid, that is, behind the back of a face. ``solid``: whether the scene is an interior, so that
+    lines begin inside a solid.
     """
     dark = sky + 1
-    lines, first, count = _Lines(lists, sides, dark, gap, solid), lists.first, lists.count
+    lines, first, count = _Lines(lists, sides, coincident, dark, gaps, solid), lists.first, lists.count
     found = dr.empty(mi.UInt64, len(lists.key))
 
     def write(i: mi.UInt32, before: mi.UInt32, after: mi.UInt32) -> None:
@@ -140,8 +144,9 @@ def exchanges(lists: Lists, sides: mi.UInt32, sky: mi.UInt32, gap: mi.UInt32, so
         i: mi.UInt32, at: mi.UInt32, near: mi.UInt32, far: mi.UInt32, before: mi.UInt32, free: mi.UInt32
     ) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.UInt32, mi.UInt32, mi.Bool]:
         following, near_2, far_2 = lines.hit(i + 1)
-        close = free & lines.touch(i, at, near, far, following, near_2, far_2)
-        inside = lines.inside(i, at, near, following, before, close)
+        kind = lines.kind(i)
+        close = free & lines.touch(i, kind, at, near, far, following, near_2, far_2)
+        inside = lines.inside(i, kind, at, near, following, before, close)
         swap = close & (inside != (near == dark))
         write(i, before, dr.select(swap, near_2, near))
         before = dr.select(swap, far_2, far)
@@ -165,9 +170,17 @@ def exchanges(lists: Lists, sides: mi.UInt32, sky: mi.UInt32, gap: mi.UInt32, so
 class _Lines:
     """Sorted hits of lines, a lane each."""
 
-    def __init__(self, lists: Lists, sides: mi.UInt32, dark: mi.UInt32, gap: mi.UInt32, solid: mi.Bool) -> None:
+    def __init__(
+        self,
+        lists: Lists,
+        sides: mi.UInt32,
+        coincident: mi.UInt32,
+        dark: mi.UInt32,
+        gaps: list[mi.UInt32],
+        solid: mi.Bool,
+    ) -> None:
         self._key, self._first, self._count = lists.key, lists.first, lists.count
-        self._sides, self._dark, self._gap, self._solid = sides, dark, gap, solid
+        self._sides, self._coincident, self._dark, self._gaps, self._solid = sides, coincident, dark, gaps, solid
 
     def hit(self, i: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
         """Depth of a hit, patch of its near side, and patch of its far side; arbitrary values after the last hit."""
@@ -178,9 +191,20 @@ class _Lines:
         is_back = (identity & 1) != 0
         return mi.UInt32(key >> 32), dr.select(is_back, back, front), dr.select(is_back, front, back)
 
+    def kind(self, i: mi.UInt32) -> mi.UInt32:
+        """0 unless the faces of a hit and of the next one both lie back to back on others, 2 if both are part of no
+        solid."""
+        kinds = []
+        for k in (i, i + 1):
+            there = k < self._count
+            face = mi.UInt32(dr.gather(mi.UInt64, self._key, self._first + k, there) & 0xFFFFFFFF) >> 1
+            kinds.append(dr.gather(mi.UInt32, self._coincident, face, there))
+        return dr.minimum(*kinds)
+
     def touch(
         self,
         i: mi.UInt32,
+        kind: mi.UInt32,
         at: mi.UInt32,
         near: mi.UInt32,
         far: mi.UInt32,
@@ -191,10 +215,18 @@ class _Lines:
         """Whether a hit and the next have opposite orientation and are closer than the gap."""
         enters, leaves = far == self._dark, near == self._dark
         opposite = (enters != leaves) & (enters == (near_2 == self._dark)) & (leaves == (far_2 == self._dark))
-        return (i + 1 < self._count) & (following - at < self._gap) & opposite
+        gap = dr.select(kind > 0, self._gaps[1], self._gaps[0])
+        return (i + 1 < self._count) & (following - at < gap) & opposite
 
     def inside(
-        self, i: mi.UInt32, at: mi.UInt32, near: mi.UInt32, following: mi.UInt32, before: mi.UInt32, close: mi.Bool
+        self,
+        i: mi.UInt32,
+        kind: mi.UInt32,
+        at: mi.UInt32,
+        near: mi.UInt32,
+        following: mi.UInt32,
+        before: mi.UInt32,
+        close: mi.Bool,
     ) -> mi.Bool:
         """Whether the line is inside a solid before hit ``i``, if that is ``close`` to the next hit."""
         # The outside may be solid or open: the first face that is not part of a pair decides.
@@ -202,7 +234,7 @@ class _Lines:
 
         def pair_after(k: mi.UInt32, _near: mi.UInt32, _again: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
             hit, following = self.hit(k), self.hit(k + 1)
-            again = self.touch(k, *hit, *following)
+            again = self.touch(k, self.kind(k), *hit, *following)
             return k + dr.select(again, mi.UInt32(2), 0), hit[1], again
 
         alone, near_alone, _ = dr.while_loop(
@@ -211,8 +243,10 @@ class _Lines:
             pair_after,
             label="line lists: first face",
         )
-        # The line has only pairs. In an interior it passes through the walls of a box in a corner of the room; else the
-        # line touches a corner, whose faces keep their order, or two coincident faces are a sheet.
-        corner = self._solid | ((near == self._dark) & (following - at > 1))
+        # The line has only pairs: sheets, or, if their number is even, the walls of a box in a corner of a room. Faces
+        # that do not coincide are a touched corner: they keep their order.
+        is_box = (kind == 1) & (((alone - i) & 3) == 0)
+        of_pairs = self._solid & ((kind == 0) | is_box)
+        corner = of_pairs | ((kind == 0) & (near == self._dark) & (following - at > 1))
         at_first = dr.select(alone < self._count, near_alone == self._dark, corner)
         return dr.select(begins, at_first, before == self._dark)

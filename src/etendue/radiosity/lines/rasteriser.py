@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device, use_variant
 
+from .gaps import GAP, PAIR_GAP
 from .linelists import LineHits, by_depth, exchanges
 from .segments import Pairs
 
@@ -38,9 +39,9 @@ class Rasteriser:
     vertices: (v, 3) relative to the centre of a bounding sphere of ``radius``.
     faces: (f, 4) vertex indices; faces are flat and convex.
     sides: (f, 2) the patch of the front and of the back, ``patches + 1`` for none.
+    coincident: (f,) 1 for faces that lie back to back on others, 2 for those of them that are part of no solid, else 0.
     patches: number of patches.
     spacing: distance of neighbouring lines.
-    gap: distance of faces below which rounding must not decide their order.
     solid: whether the scene is an interior.
 
     Attributes
@@ -53,10 +54,10 @@ class Rasteriser:
         vertices: Array,
         faces: NDArray[np.uint32],
         sides: NDArray[np.uint32],
+        coincident: NDArray[np.uint8],
         patches: int,
         radius: float,
         spacing: float,
-        gap: float,
         solid: bool,
     ) -> None:
         use_variant()
@@ -67,7 +68,8 @@ class Rasteriser:
         self.extent = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
         self.spacing, self.unit = spacing, _DEPTHS / (2 * _MARGIN * radius)
         self._sides = copied_to_device(mi.UInt32, sides)
-        self._gap = dr.opaque(mi.UInt32, max(int(gap * self.unit), 1))
+        self._coincident = copied_to_device(mi.UInt32, coincident)
+        self._gaps = [dr.opaque(mi.UInt32, max(int(gap * self.unit), 1)) for gap in (GAP, PAIR_GAP)]
         self._sky = dr.opaque(mi.UInt32, patches)
         self._solid = dr.opaque(mi.Bool, solid)
 
@@ -84,7 +86,8 @@ class Rasteriser:
         if number == 0:
             return np.empty((0, 2), np.uint32)
         hits = grid.fill(ends - counts, number)
-        pairs = exchanges(by_depth(hits, grid.pixels), self._sides, self._sky, self._gap, self._solid)
+        lists = by_depth(hits, grid.pixels)
+        pairs = exchanges(lists, self._sides, self._coincident, self._sky, self._gaps, self._solid)
         return np.array(pairs).view(np.uint32).reshape(-1, 2)
 
 

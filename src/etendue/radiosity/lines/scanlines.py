@@ -17,18 +17,22 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 
+from .gaps import GAP, PAIR_GAP
+
 Pairs = NDArray[np.uint32]
 G = TypeVar("G", bound=np.generic)
 
 #: Depths of the scene, which has the radius 1, are from -_REACH to _REACH.
 _REACH = 1.001
 _UNIT = 2.0**31 / _REACH
-#: Faces closer to each other than this are ordered by their orientation, in units of depth: 2e-7 radii.
-_GAP = int(2e-7 * _UNIT)
+#: Faces closer to each other than this are ordered by their orientation, in units of depth.
+_GAP = int(GAP * _UNIT)
+#: The same for faces that are known to lie back to back, whose depths differ along flat lines.
+_PAIR = int(PAIR_GAP * _UNIT)
 #: Two faces this close coincide, in units of depth.
 _SAME = 1
 _NONE = np.int32(-1)
-_HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
+_HALF, _ONE, _LOW = np.uint64(32), np.uint64(1), np.uint64(0xFFFFFFFF)
 #: Up to this number of hits of a line are sorted without branches.
 _FEW = 8
 
@@ -38,6 +42,7 @@ def rasterise(
     vertices: Array,
     faces: NDArray[np.uint32],
     ends: NDArray[np.uint32],
+    coincident: NDArray[np.uint8],
     frames: Array,
     shifts: Array,
     spacing: float,
@@ -50,7 +55,8 @@ def rasterise(
     """Segments (k, 2) of the lines of some bundles, line by line, from the near end of each line on.
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of each face
-    seen from the front, then seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of
+    seen from the front, then seen from the back, ``patches + 1`` for none; coincident (f,), 1 for faces that lie back
+    to back on others, 2 for those of them that are part of no solid, else 0; frames (b, 3, 3) as of
     :meth:`Bundles.frames`; shifts (b, 2) of the grid in units of ``spacing``; centre (3,), reach: only lines at most
     ``reach`` from ``centre`` along both axes of the grid are cast; room, the initial capacity for hits of a bundle;
     solid, whether the scene is an interior, so that lines begin behind the backs of faces.
@@ -92,7 +98,9 @@ def rasterise(
             pairs = _grown_pairs(pairs, 2 * (made + 2 * count) + 1, made)
         line = 0
         while True:
-            line, made = _walk(heads, columns * rows, hits, nexts, ends, order, pairs, line, made, patches, solid)
+            line, made = _walk(
+                heads, columns * rows, hits, nexts, ends, coincident, order, pairs, line, made, patches, solid
+            )
             if line == columns * rows:
                 break
             order = np.empty(2 * len(order), np.uint64)
@@ -211,6 +219,7 @@ def _walk(
     hits: NDArray[np.uint64],
     nexts: NDArray[np.int32],
     ends: NDArray[np.uint32],
+    coincident: NDArray[np.uint8],
     order: NDArray[np.uint64],
     pairs: Pairs,
     start: int,
@@ -223,6 +232,7 @@ def _walk(
     Returns the line whose hits ``order`` cannot hold (``lines`` if there is none) and the number of segments.
     """
     sky, dark = np.uint32(patches), np.uint32(patches + 1)
+    reach = _PAIR if coincident.any() else _GAP
     for line in range(start, lines):
         hit = heads[line]
         if hit < 0:
@@ -246,8 +256,8 @@ def _walk(
             hit = nexts[hit]
         before, ordered = sky, 0
         for k in range(count):
-            if k >= ordered and k + 1 < count and _apart(order, k) < _GAP:
-                ordered = _settle(k, before == dark, count, order, ends, dark, solid)
+            if k >= ordered and k + 1 < count and _apart(order, k) < reach:
+                ordered = _settle(k, before == dark, count, order, ends, coincident, dark, solid)
             side = order[k] & _LOW
             after = ends[side, 0]
             pairs[made, 0], pairs[made, 1] = before, after
@@ -266,27 +276,37 @@ def _apart(order: NDArray[np.uint64], k: int) -> np.int64:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _settle(
-    k: int, inside: bool, count: int, order: NDArray[np.uint64], ends: NDArray[np.uint32], dark: np.uint32, solid: bool
+    k: int,
+    inside: bool,
+    count: int,
+    order: NDArray[np.uint64],
+    ends: NDArray[np.uint32],
+    coincident: NDArray[np.uint8],
+    dark: np.uint32,
+    solid: bool,
 ) -> int:
     """Order hit ``k`` of a line and the next one, which are close to each other. Returns the next hit to be examined.
 
     Two such faces of opposite orientation may be a sheet, or solids that touch (a box on the floor). Their order is not
     decided by rounding but by whether the line is inside a solid, that is, behind the back of a face.
     """
-    if not _touch(k, count, order, ends, dark):
+    if not _touch(k, count, order, ends, coincident, dark):
         return k
     leaves = ends[order[k] & _LOW, 0] == dark
     if k == 0:
         # The outside may be solid or open: the first face that is not part of a pair decides.
         alone = 2
-        while _touch(alone, count, order, ends, dark):
+        while _touch(alone, count, order, ends, coincident, dark):
             alone += 2
+        kind = _kind(k, order, coincident)
         if alone < count:
             inside = ends[order[alone] & _LOW, 0] == dark
+        elif kind == 2 or (kind == 1 and alone % 4 != 0):  # sheets
+            inside = False
         elif solid:  # the line passes through the walls of a box in a corner of a room
             inside = True
         elif leaves:  # the faces of a touched corner keep their order, two coincident faces are a sheet
-            inside = _apart(order, k) > _SAME
+            inside = kind == 0 and _apart(order, k) > _SAME
         else:
             inside = False
     if inside != leaves:
@@ -295,13 +315,27 @@ def _settle(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _touch(k: int, count: int, order: NDArray[np.uint64], ends: NDArray[np.uint32], dark: np.uint32) -> bool:
+def _touch(
+    k: int,
+    count: int,
+    order: NDArray[np.uint64],
+    ends: NDArray[np.uint32],
+    coincident: NDArray[np.uint8],
+    dark: np.uint32,
+) -> bool:
     """Whether hit ``k`` of a line and the next hit have opposite orientation and nearly the same position."""
-    if k + 1 >= count or _apart(order, k) >= _GAP:
+    if k + 1 >= count or _apart(order, k) >= (_PAIR if _kind(k, order, coincident) else _GAP):
         return False
     a, b = order[k] & _LOW, order[k + 1] & _LOW
     enters, leaves = ends[a, 1] == dark, ends[a, 0] == dark
     return enters != leaves and enters == (ends[b, 0] == dark) and leaves == (ends[b, 1] == dark)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _kind(k: int, order: NDArray[np.uint64], coincident: NDArray[np.uint8]) -> int:
+    """0 unless the faces of hit ``k`` of a line and of the next hit both lie back to back on others, 2 if both are part
+    of no solid."""
+    return min(coincident[(order[k] & _LOW) >> _ONE], coincident[(order[k + 1] & _LOW) >> _ONE])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

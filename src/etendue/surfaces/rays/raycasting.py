@@ -34,7 +34,7 @@ class Hits:
 
 class RayScene:
     """Patches as a scene for rays, in unit coordinates: relative to the ``centre`` of the patches, in units of their
-    ``radius``."""
+    ``radius``. Faces that lie back to back are set apart (:class:`Coincident`); a warning names those that clash."""
 
     def __init__(self, patches: Patches) -> None:
         use_variant()
@@ -42,10 +42,12 @@ class RayScene:
 
         self.patches = patches
         self.centre, self.radius = patches.sphere
-        corners, self._face = triangles(patches.faces)
-        mesh = mi.Mesh("patches", len(patches.vertices), len(corners))
+        patches.coincident.warn(patches)
+        vertices, faces = patches.coincident.apart(patches)
+        corners, self._face = triangles(faces)
+        mesh = mi.Mesh("patches", len(vertices), len(corners))
         parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = np.ascontiguousarray(self.local(patches.vertices), np.float32).ravel()
+        parameters["vertex_positions"] = np.ascontiguousarray(self.local(vertices), np.float32).ravel()
         parameters["faces"] = np.ascontiguousarray(corners, np.uint32).ravel()
         parameters.update()
         self._scene = mi.load_dict({"type": "scene", "patches": mesh})

@@ -28,13 +28,14 @@ class Sides:
     @classmethod
     def of(cls, patches: Patches) -> Sides:
         """All sides that belong to a patch."""
-        corner, face = triangles(patches.faces)
+        vertices, faces = patches.coincident.apart(patches)
+        corner, face = triangles(faces)
         patch = np.concatenate([patches.front[face], patches.back[face]])
         kept = np.flatnonzero(patch >= 0)
         kept = kept[np.argsort(patch[kept], kind="stable")]
         row = kept % len(face)
         centre, radius = patches.sphere
-        corners = (patches.vertices[corner[row]] - centre) / radius
+        corners = (vertices[corner[row]] - centre) / radius
         normals = patches.face_normals[face[row]] * np.where(kept < len(face), 1, -1)[:, None]
         areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
         return cls(corners, normals, patch[kept], face[row], np.concatenate([[0], np.cumsum(areas)]))
