@@ -62,9 +62,7 @@ def form_factors(
             help="Mesh (PLY, OBJ, STL, VTU, glTF and others), Mitsuba XML file, or bundled scene.", metavar="SCENE"
         ),
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help=".npz or .nc (arrays), .vf (View3D's text).", metavar="FILE")
-    ] = Path("factors.npz"),
+    output: out.FactorFiles = None,
     bundles: Bundles = None,
     time: opt.Time = None,
     error: Error = None,
@@ -115,7 +113,7 @@ def form_factors(
         engine=engine,
         point_set=point_set,
         main_share=main_share,
-        outputs=(output,),
+        outputs=tuple(output or [Path("factors.npz")]),
         seconds=time,
         bundles=bundles,
         error=error,
@@ -138,16 +136,7 @@ def radiosity(
     scene: Annotated[
         str, typer.Argument(help="Mitsuba XML file, bundled scene, or mesh (PLY, OBJ, VTU, glTF and others).")
     ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help=".vtu (ParaView), .ply, .glb, .gltf (vertex colours), .npz, .nc (arrays); .exr, .png (a picture); "
-            ".html (a page).",
-            metavar="FILE",
-        ),
-    ] = Path("solution.vtu"),
+    output: out.SolutionFiles = None,
     bundles: Bundles = None,
     time: opt.Time = None,
     error: Error = None,
@@ -222,22 +211,25 @@ def radiosity(
     Stops at the first of --bundles (or --points), --time and --error that is reached, or by Ctrl-C, and writes the
     solution from the lines so far.
     """
-    from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
+    from etendue.jobs import RadiosityRequest, SolutionOutputs, files_and_lightmap, radiosity_work
 
     device = opt.Device(variant, threads, cluster, workers)
+    named = output or [Path("solution.vtu")]
+    files, map_file = (tuple(named), None) if lightmap is None else files_and_lightmap(named)
+    files = out.with_page(files, named[0], page)
     asked: dict[str, Any] = dict(
         source=scene,
         solver=solver,
         outputs=SolutionOutputs(
-            files=out.with_page((output,) if lightmap is None else (), output, page),
-            command=command_line() if page or output.suffix == ".html" else "",
+            files=files,
+            command=command_line() if any(path.suffix == ".html" for path in files) else "",
             size=size,
             sensor=sensor,
             gather=gather,
             samples=spp,
             smooth=not flat,
             error_picture=error_picture,
-            lightmap=None if lightmap is None else output,
+            lightmap=map_file,
             lightmap_size=lightmap or 1024,
             uv=uv,
         ),
@@ -307,14 +299,12 @@ def resume_lines(
     request: Any = asked_before(
         saved,
         source=scene,
-        output=output[0] if output else None,
+        output=output,
         **given,
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),
     )
-    if len(output) > 1:
-        raise OptionError(f"etendue {request.work} writes one file, not {len(output)}")
     work: Any = FormFactorWork if isinstance(request, FormFactorRequest) else radiosity_work
     return _run(request, lambda **options: work(request, saved, **options), device)
 

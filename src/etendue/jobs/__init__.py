@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .multipath import MultipathWork
     from .particles import DEFAULT_PATHS, TRACINGS, ParticleRequest, ParticleResult, ParticleWork, repack
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
-    from .solutions import ERROR_SCALE, SolutionOutputs
+    from .solutions import ERROR_SCALE, SolutionOutputs, files_and_lightmap
     from .solving import (
         FormFactorWork,
         LinesWork,
@@ -47,7 +47,7 @@ else:
         "linesrequest": ("LinesRequest",),
         "particles": ("DEFAULT_PATHS", "TRACINGS", "ParticleRequest", "ParticleResult", "ParticleWork", "repack"),
         "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
-        "solutions": ("ERROR_SCALE", "SolutionOutputs"),
+        "solutions": ("ERROR_SCALE", "SolutionOutputs", "files_and_lightmap"),
         "solving": (
             "FormFactorWork",
             "LinesWork",
@@ -119,6 +119,7 @@ __all__ = [
     "check_files",
     "check_map_file",
     "check_picture",
+    "files_and_lightmap",
     "listed",
     "make_map",
     "map_lightmap",

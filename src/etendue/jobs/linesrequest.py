@@ -85,6 +85,11 @@ class LinesRequest(ABC):
         """Whether form factors are computed from the lines, which takes memory."""
 
     @property
+    def keeps_groups(self) -> bool:
+        """Whether the parts of subdivided faces stay in the patches of their faces."""
+        return False
+
+    @property
     def is_watched(self) -> bool:
         """Whether errors are estimated during the run even if no budget asks for them."""
         return False
@@ -179,7 +184,8 @@ class LinesRequest(ABC):
             patches = instanced_patches(problem, max_area=self.max_area)
         else:
             patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
-            patches = patches if self.max_area is None else patches.subdivided(self.max_area)
+            if self.max_area is not None:
+                patches = patches.subdivided(self.max_area, grouped=self.keeps_groups)
         self.check_patches(patches, problem)
         return patches
 

@@ -35,6 +35,7 @@ from etendue.radiosity import (
 )
 from etendue.scene import Problem
 
+from .files import PathLike, listed
 from .hierarchies import GROUPINGS, HIERARCHY_OPTIONS, HierarchyOptions, check_array, objects_by
 from .linesrequest import NOTE, LinesRequest
 from .pages.solution import Making
@@ -62,6 +63,11 @@ class FormFactorRequest(HierarchyOptions, LinesRequest):
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
         """See :class:`LinesRequest`."""
         return self._loaded(tell)
+
+    @property
+    def keeps_groups(self) -> bool:
+        """See :class:`LinesRequest`: form factors are those of the groups that an array of the mesh file numbers."""
+        return self.mesh.get("ids") is not None
 
     @property
     def chosen_estimator(self) -> str:
@@ -339,23 +345,23 @@ def asked_before(
     saved: Checkpoint,
     *,
     source: Any = None,
-    output: Path | None = None,
+    output: PathLike | Sequence[PathLike] = (),
     kinds: Sequence[type[LinesRequest]] = (),
     **changes: Any,
 ) -> LinesRequest:
-    """The request of a checkpoint of lines, with another ``source`` and ``output`` where they are given.
+    """The request of a checkpoint of lines, with another ``source`` and ``output`` files if they are given.
 
     Raises :class:`CheckpointError` if the checkpoint has no request, and the errors of a request.
     """
     known_kinds: dict[str, Any] = {kind.work: kind for kind in kinds or (FormFactorRequest, RadiosityRequest)}
     try:
         known = dict(saved.notes[NOTE])
-        kind = known_kinds[known.pop("work")]
+        kind, outputs = known_kinds[known.pop("work")], listed(output)
         if kind is FormFactorRequest:
-            known["outputs"] = tuple(map(Path, known["outputs"])) if output is None else (output,)
+            known["outputs"] = tuple(outputs or map(Path, known["outputs"]))
         else:
-            outputs = SolutionOutputs.from_dict(known["outputs"])
-            known["outputs"] = outputs if output is None else outputs.renamed(output)
+            before = SolutionOutputs.from_dict(known["outputs"])
+            known["outputs"] = before.renamed(outputs) if outputs else before
         if source is not None:
             known["source"] = source
         return kind(**known, **changes)

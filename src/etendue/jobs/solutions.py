@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -45,6 +45,8 @@ ERROR_SCALE = (1e-3, 1.0)
 OWN = "scene"
 #: Suffixes of meshes with vertex colours.
 _COLOURS = (".ply", ".glb", ".gltf")
+#: Suffixes of lightmaps and of their meshes.
+_LIGHTMAPS = {".exr": "lightmap"} | LIGHTMAP_MESHES
 #: Smallest size of a lightmap in texels.
 _LEAST_TEXELS = 16
 
@@ -118,7 +120,7 @@ class SolutionOutputs:
         for path in self.files:
             check_file(path, SOLUTION_FILES | PICTURE_FILES | PAGE_FILES)
         if self.lightmap is not None:
-            check_file(self.lightmap, {".exr": "lightmap"} | LIGHTMAP_MESHES)
+            check_file(self.lightmap, _LIGHTMAPS)
         for name, least in (("sensor", 0), ("gather", 0), ("samples", 1), ("lightmap_size", _LEAST_TEXELS)):
             if not is_whole(value := getattr(self, name)) or value < least:
                 raise OptionError(f"{option(name)} is a whole number of at least {least}, not {value!r}")
@@ -245,11 +247,12 @@ class SolutionOutputs:
 
     # ------------------------------------------------------------------ plain values
 
-    def renamed(self, output: Path) -> SolutionOutputs:
-        """The same outputs with one file; a lightmap, if there were no other files."""
+    def renamed(self, outputs: Sequence[Path]) -> SolutionOutputs:
+        """The same outputs with other files; one is the lightmap, if there were no other files than that."""
         if self.files or self.lightmap is None:
-            return replace(self, files=(output,), lightmap=None, uv=None)
-        return replace(self, lightmap=output)
+            return replace(self, files=tuple(outputs), lightmap=None, uv=None)
+        files, lightmap = files_and_lightmap(outputs)
+        return replace(self, files=files, lightmap=lightmap)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values with absolute paths."""
@@ -266,6 +269,20 @@ class SolutionOutputs:
         lightmap, size = plain.get("lightmap"), plain.get("size")
         paths = {"files": tuple(map(Path, plain["files"])), "lightmap": lightmap and Path(lightmap)}
         return cls(**{**plain, **paths, "size": size and tuple(size)})  # JSON knows no tuples
+
+
+def files_and_lightmap(outputs: Sequence[Path]) -> tuple[tuple[Path, ...], Path]:
+    """The file of a lightmap among ``outputs``, by its suffix, and the others. Raises :class:`OptionError` if several
+    files could be that of the lightmap."""
+    could = [path for path in outputs if path.suffix.lower() in _LIGHTMAPS]
+    if len(outputs) > 1 and len(could) != 1:
+        found = "none" if not could else f"{len(could)} of them"
+        raise OptionError(
+            f"one of {len(outputs)} outputs is the lightmap, {', '.join(_LIGHTMAPS)}, but {found} could be: name one, "
+            "and write other files from the solution (.npz) afterwards"
+        )
+    lightmap = (could or outputs)[0]
+    return tuple(path for path in outputs if path != lightmap), lightmap
 
 
 def _beside(path: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -22,7 +23,7 @@ _NEEDED = (
     *("vertices", "faces", "front", "back", "labels", "reflectance", "emission", "sky"),
     *("radiosity", "irradiance", "sky_share", "residuals"),
 )
-_OPTIONAL = ("irradiance_error", "shapes", "shape_names")
+_OPTIONAL = ("irradiance_error", "shapes", "shape_names", "face", "other_side")
 
 
 def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]:
@@ -31,18 +32,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
     :class:`FormatError` for a damaged netCDF file."""
     try:
         saved = read_netcdf_solution(path) if Path(path).suffix.lower() == ".nc" else _read_arrays(path)
-        front, back = saved["front"].astype(np.int64), saved["back"]
-        two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
-        two_sided[front[back >= 0]] = True
-        patches = Patches(
-            saved["vertices"],
-            saved["faces"].astype(np.int64),
-            reflectance=saved["reflectance"],
-            emission=saved["emission"],
-            ids=front,
-            two_sided=two_sided,
-            sky=saved["sky"],
-        )
+        patches = _patches(saved)
         patches.labels = saved["labels"].astype(np.int64)
         if "shapes" in saved:
             patches.shapes, patches.shape_names = saved["shapes"], tuple(map(str, saved["shape_names"]))
@@ -53,6 +43,30 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
     except (KeyError, ValueError, IndexError) as error:
         raise _foreign(path) from error
     return solution, saved.get("irradiance_error")
+
+
+def _patches(saved: Mapping[str, NDArray[Any]]) -> Patches:
+    """The patches, without their labels and shapes."""
+    front, faces = saved["front"].astype(np.int64), saved["faces"].astype(np.int64)
+    if "other_side" in saved:
+        other = saved["other_side"]
+        two_sided = other[(other < 0) | (other > np.arange(len(other)))] >= 0
+    else:  # a file of an earlier version, without empty patches
+        two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
+        two_sided[front[saved["back"] >= 0]] = True
+    # Empty patches have a face that is left out.
+    patch = np.concatenate([front, np.setdiff1d(np.arange(len(two_sided)), front)])
+    return Patches(
+        saved["vertices"],
+        np.concatenate([faces, np.zeros((len(patch) - len(front), 4), np.int64)]),
+        reflectance=saved["reflectance"],
+        emission=saved["emission"],
+        ids=patch,
+        two_sided=two_sided,
+        sky=saved["sky"],
+        left_out=np.arange(len(front), len(patch)),
+        numbers=saved["face"].astype(np.int64)[patch] if "face" in saved else None,
+    )
 
 
 def _read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, free_memory, sparse
 
 from ..errors import RadiosityError
-from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate
+from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate, numbers_of
 from ..lines.segments import Pairs
 from .tree import SphereTree
 
@@ -73,8 +73,8 @@ class PartialSegments:
 
     @property
     def unseen(self) -> Index:
-        """Patches without any line, whose form factors are unknown."""
-        return np.flatnonzero(self.counted == 0)
+        """Patches without any line, whose form factors are unknown; empty patches are none of them."""
+        return np.flatnonzero((self.counted == 0) & (self.expected > 0))
 
     def gather(self, values: ArrayLike) -> Array:
         """Mean of ``values`` (n, c) over the surfaces that each patch sees, zero for the sky: F values, with F1."""
@@ -153,7 +153,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
         if estimator == "reciprocal":
             lines = segments.expected
         else:
-            counted = lines / patches.areas
+            counted = lines / patches.divisors
             both_ways = counted[i] + counted[j]
             different *= both_ways / (density[i] + density[j])
             relative += _spread_of_lines(i, j, found, both, lines, patches.areas, matrix.data)
@@ -167,7 +167,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
     for entries in (matrix, errors):
         entries.sort_indices()
     sky = np.divide(segments.to_sky, lines, out=np.zeros(n), where=lines > 0)
-    return FormFactors(matrix, errors, sky, patches.areas, segments.counted)
+    return FormFactors(matrix, errors, sky, patches.areas, segments.counted, **numbers_of(patches))
 
 
 def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, estimator: Estimator) -> Any:
