@@ -84,7 +84,7 @@ def form_factors(
     exact: Annotated[
         bool, typer.Option("--exact", help="By integrals instead of lines, for surfaces without occlusion.")
     ] = False,
-    seed: LineSeed = 0,
+    seed: LineSeed = None,
     no_local_rays: NoLocalRays = False,
     checkpoint: CheckpointFile = None,
     save_every: opt.SaveEvery = 60.0,
@@ -117,7 +117,7 @@ def form_factors(
         seconds=time,
         bundles=bundles,
         error=error,
-        seed=seed,
+        seed=seed or 0,
         max_area=max_area,
         local_rays=not no_local_rays,
         mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
@@ -176,7 +176,7 @@ def radiosity(
     ] = None,
     ids: Ids = None,
     two_sided: TwoSided = False,
-    seed: LineSeed = 0,
+    seed: LineSeed = None,
     no_shot: Annotated[
         bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
@@ -237,7 +237,7 @@ def radiosity(
         bundles=bundles,
         points=points,
         error=error,
-        seed=seed,
+        seed=seed or 0,
         max_area=max_area,
         shot=not no_shot,
         ambient=ambient,
@@ -274,7 +274,9 @@ def radiosity(
     request = RadiosityRequest(**asked)
     if solution is not None:
         device.check_alone("--solution")
-        return _write_again(request, solution, device)
+        if checkpoint is not None:
+            raise OptionError("--solution is there already and casts no lines: leave out --checkpoint")
+        return _write_again(request, solution, {} if seed is None else {"seed": seed}, device)
     if request.is_instant:
         device.check_alone("--ambient")
         return _run_ambient(request, device)
@@ -353,14 +355,15 @@ def _run_ambient(request: RadiosityRequest, device: opt.Device) -> int:
     return 0
 
 
-def _write_again(request: RadiosityRequest, solution: Path, device: opt.Device) -> int:
-    """Write the outputs of a solution from a file. Returns the exit status."""
+def _write_again(request: RadiosityRequest, solution: Path, given: Mapping[str, Any], device: opt.Device) -> int:
+    """Write the outputs of a solution from a file. ``given``: options with their default values. Returns the exit
+    status."""
     from .solutions import solution_to_files
 
     device.choose()
     with _ended_by_ctrl_c(None):
         problem = request.problem(lambda text: note(error_console(), text))
-        solution_to_files(request, problem, solution)
+        solution_to_files(request, problem, solution, given)
     say("\n".join(map(str, request.files)))
     return 0
 

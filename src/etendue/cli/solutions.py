@@ -16,6 +16,8 @@ from .console import error_console, note
 from .rendering import Outcome, follow
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from etendue.engine import RunResult
     from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest, RequestedWork
     from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments
@@ -78,14 +80,15 @@ def ambient_to_files(request: RadiosityRequest) -> None:
     )
 
 
-def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> None:
-    """Write the outputs of a solution from a file."""
-    from etendue.jobs import Writing
-    from etendue.radiosity import read_solution
+def solution_to_files(
+    request: RadiosityRequest, problem: Problem | None, solved: Path, given: Mapping[str, Any]
+) -> None:
+    """Write the outputs of a solution from a file. ``given``: options with their default values."""
+    from etendue.jobs import Writing, saved_solution
 
-    solution, error = read_solution(solved)
+    solution, error, before = saved_solution(request, problem, solved, given)
     request.outputs.check_source(solution.patches, problem, request.wording)
-    writing, known = Writing(), {"source": str(solved)}
+    writing, known = Writing(), {"source": request.name, **before, "solution": str(solved)}
     with error_console().status("writing") as status:
         shown = request.outputs.write(writing, problem, solution, error, known, request.wording, status.update)
         writing.finish()

@@ -140,12 +140,16 @@ class RadiosityRequest(LinesRequest):
 
     def making(self, history: Sequence[tuple[float, float]] = ()) -> Making:
         """The facts of a page about the run; ``history``: standard errors by number of lines or bundles."""
-        settings = {
+        return Making(_listed(self.asked), history, self._unit)
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """The fields without the source and the outputs that differ from their defaults."""
+        return {
             field.name: value
             for field in fields(self)
             if field.name not in _NOT_SETTINGS and (value := getattr(self, field.name)) != _default(field)
         }
-        return Making(_listed(settings), history, self._unit)
 
     @property
     def _unit(self) -> str:
@@ -325,7 +329,7 @@ class RadiosityRequest(LinesRequest):
         return {"parameters": self._plain_parameters, "outputs": self.outputs.to_dict()}
 
 
-#: Fields of a request that a page does not list as settings.
+#: Fields of a request that are no settings.
 _NOT_SETTINGS = ("source", "outputs", "checkpoint", "save_every", "wording")
 
 

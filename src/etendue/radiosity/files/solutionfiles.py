@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array
-from etendue.surfaces import Patches
+from etendue.formats import netcdf_metadata
+from etendue.surfaces import saved_patches
 
 from ..errors import RadiosityError
 from ..solvers.system import Solution
@@ -32,7 +33,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
     :class:`FormatError` for a damaged netCDF file."""
     try:
         saved = read_netcdf_solution(path) if Path(path).suffix.lower() == ".nc" else _read_arrays(path)
-        patches = _patches(saved)
+        patches = saved_patches(saved, **{name: saved[name] for name in ("reflectance", "emission", "sky")})
         patches.labels = saved["labels"].astype(np.int64)
         if "shapes" in saved:
             patches.shapes, patches.shape_names = saved["shapes"], tuple(map(str, saved["shape_names"]))
@@ -45,28 +46,16 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
     return solution, saved.get("irradiance_error")
 
 
-def _patches(saved: Mapping[str, NDArray[Any]]) -> Patches:
-    """The patches, without their labels and shapes."""
-    front, faces = saved["front"].astype(np.int64), saved["faces"].astype(np.int64)
-    if "other_side" in saved:
-        other = saved["other_side"]
-        two_sided = other[(other < 0) | (other > np.arange(len(other)))] >= 0
-    else:  # a file of an earlier version, without empty patches
-        two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
-        two_sided[front[saved["back"] >= 0]] = True
-    # Empty patches have a face that is left out.
-    patch = np.concatenate([front, np.setdiff1d(np.arange(len(two_sided)), front)])
-    return Patches(
-        saved["vertices"],
-        np.concatenate([faces, np.zeros((len(patch) - len(front), 4), np.int64)]),
-        reflectance=saved["reflectance"],
-        emission=saved["emission"],
-        ids=patch,
-        two_sided=two_sided,
-        sky=saved["sky"],
-        left_out=np.arange(len(front), len(patch)),
-        numbers=saved["face"].astype(np.int64)[patch] if "face" in saved else None,
-    )
+def solution_metadata(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The ``metadata`` of a file of :func:`save_solution`, ``.npz`` or ``.nc``; empty if it has none. Raises the errors
+    of :func:`read_solution`."""
+    if Path(path).suffix.lower() == ".nc":
+        return netcdf_metadata(path)
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            return dict(json.loads(str(saved["metadata"]))) if "metadata" in saved else {}
+    except (OSError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise _foreign(path) from error
 
 
 def _read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
