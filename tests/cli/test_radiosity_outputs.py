@@ -59,6 +59,22 @@ def test_a_page_beside_the_solution_and_later(capsys, variant):
     assert "Energy balance" in Path("again.html").read_text("utf-8")
 
 
+def test_a_solution_is_written_to_every_file(capsys, variant):
+    assert run("-o s.npz -o p.exr -o s.vtu --page", variant) == 0
+    assert capsys.readouterr().out == "s.npz\np.exr\ns.vtu\ns.html\n"
+    assert all(Path(name).is_file() for name in ("s.npz", "p.exr", "s.vtu", "s.html"))
+    assert run("-o a.vtu -o a.ply --solution s.npz", variant) == 0
+    assert Path("a.vtu").is_file() and Path("a.ply").is_file()
+
+
+def test_a_lightmap_beside_other_files(capsys, variant):
+    pytest.importorskip("xatlas")
+    assert run("-o s.npz -o m.glb --lightmap 64", variant) == 0
+    assert capsys.readouterr().out == "s.npz\nm.exr\nm.glb\n" and Path("s.npz").is_file()
+    assert run("-o p.exr -o m.glb --lightmap 64", variant) == 2
+    assert "one of 2 outputs is the lightmap" in capsys.readouterr().err
+
+
 def test_an_eight_bit_picture_and_its_error(capsys, variant):
     assert run("-o p.png --error-picture --flat --spp 2", variant) == 0
     out, err = capsys.readouterr()

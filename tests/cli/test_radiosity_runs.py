@@ -18,7 +18,7 @@ import etendue.radiosity.casting
 from etendue.cli.main import main
 from etendue.core import OutputError, Progress
 from etendue.jobs import FormFactorRequest, FormFactorWork, Passes, solutions
-from etendue.radiosity import LineCasting, Patches, thermal
+from etendue.radiosity import LineCasting, Patches, read_form_factors, thermal
 
 meshio = pytest.importorskip("meshio")
 
@@ -135,11 +135,12 @@ def test_a_checkpoint_goes_on_to_more_of_the_same_and_to_nothing_else(capsys):
     assert run("form-factors room.vtu --bundles 40 --checkpoint c") == 0
     assert run("resume c --bundles 64 -o more.npz") == 0
     assert arrays_of("more.npz")[1]["bundles"] == 64
+    assert run("resume c --bundles 72 -o more.npz -o more.vf") == 0
+    assert arrays_of("more.npz")[1]["bundles"] == 72 and Path("more.vf").is_file()
     for arguments, message in (
         ("", "used up; give a new one with --bundles, --time or --error"),
         ("--spp 3", "--spp, -m and -D do not apply"),
-        ("--bundles 50", "64 bundles, more than 50"),
-        ("--bundles 80 -o a.npz -o b.npz", "writes one file, not 2"),
+        ("--bundles 50", "72 bundles, more than 50"),
         ("--bundles 80 -o a.vtu", "take .npz"),
         ("--bundles 80 --scene other.vtu", "the scene is not the one"),
         ("--bundles 80 --scene gone.vtu", "there is no mesh file gone.vtu"),
@@ -257,3 +258,52 @@ def test_open_and_crowded_meshes_are_said_and_duplicates_left_out(capsys):
     err = capsys.readouterr().err
     assert "1 are duplicates; they are left out" in err and "not closed, 4 open edges" in err
     assert "% of what patches see is the sky" in err
+
+
+@pytest.mark.parametrize("name", ["factors.npz", "factors.nc"])
+def test_a_face_without_area_moves_no_row(name, capsys):
+    if name.endswith(".nc"):
+        pytest.importorskip("h5netcdf")
+    vertices, faces, *_ = lit_room()
+    sound = faces[:20].copy()
+    sound[5] = sound[5, ::-1]  # rows 5 and 6 differ: the sky is behind the first
+    broken = sound.copy()
+    broken[4] = broken[4, 0]
+    for file, rows in (("sound.ply", sound), ("broken.ply", broken)):
+        meshio.write(file, meshio.Mesh(vertices, [("quad", rows.astype(np.int32))]))
+    found = []
+    for file in ("sound.ply", "broken.ply"):
+        assert run(f"form-factors {file} -o {name} --bundles 64") == 0
+        found.append(read_form_factors(name))
+    assert "face 4 (counted from 0)" in capsys.readouterr().err
+    factors = found[1]
+    assert len(factors) == 20 and factors.face.tolist() == factors.label.tolist() == list(range(20))
+    assert factors.sky[4] == factors.areas[4] == factors.matrix[[4]].nnz == 0
+    others = np.arange(20) != 4
+    # What was hidden by the broken face changes by a little: the share of one of 20 faces.
+    np.testing.assert_allclose(factors.sky[others], found[0].sky[others], atol=0.2)
+    assert factors.sky[5] > 0.9 and factors.sky[6] < 0.5
+
+
+@pytest.mark.parametrize("more", ["", "--exact"])
+def test_form_factors_are_written_to_every_file(more, capsys):
+    vertices, faces = box((0, 0, 0), (1, 1, 1), 1, inward=True)
+    meshio.write("box.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
+    bundles = "" if more else "--bundles 8"
+    assert run(f"form-factors box.ply {bundles} {more} -o a.npz -o b.vf -o c.npz") == 0
+    assert capsys.readouterr().out == "a.npz\nb.vf\nc.npz\n" and Path("b.vf").is_file()
+    np.testing.assert_array_equal(arrays_of("a.npz")[0]["data"], arrays_of("c.npz")[0]["data"])
+    assert run(f"form-factors box.ply {bundles} {more} -o a.npz -o ./a.npz") == 2
+    assert "named for two outputs" in capsys.readouterr().err
+
+
+def test_groups_survive_subdivision(capsys):
+    for area, parts in ((1, 31), (0.01, 607)):
+        assert run(f"form-factors room.vtu -o f{parts}.npz --ids wall --max-area {area} --bundles 256") == 0
+        assert f"8 patches of {parts} faces" in capsys.readouterr().err
+    coarse, fine = read_form_factors("f31.npz"), read_form_factors("f607.npz")
+    assert fine.label.tolist() == list(range(8)) and fine.face.tolist() == list(range(0, 32, 4))
+    np.testing.assert_allclose(fine.matrix.toarray()[:6, :6], coarse.matrix.toarray()[:6, :6], atol=0.01)
+    assert run("radiosity room.vtu -o s.npz --emission glow --ids wall --max-area 0.1 --bundles 16") == 0
+    saved, _ = arrays_of("s.npz")
+    assert len(saved["face"]) == len(saved["label"]) > 31 and (saved["label"] == saved["face"] // 4).all()

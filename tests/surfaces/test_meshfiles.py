@@ -62,14 +62,21 @@ def test_arrays_of_a_file(tmp_path):
     np.testing.assert_array_equal(given.reflectance[:, 0], 0.01 * np.arange(24))
 
 
-def test_broken_faces_are_left_out_with_a_warning(tmp_path, caplog):
+def test_broken_faces_are_named_and_their_patches_stay_empty(tmp_path, caplog):
     vertices, faces = joined(square((0, 0, 0), (1, 0, 0), (0, 1, 0)), square((0, 0, 1), (1, 0, 0), (0, 1, 0)))
-    broken = np.concatenate([faces, [[0, 1, 1, 0]], np.roll(faces[:1], 2, axis=1)])
-    patches = read_patches(
-        written(tmp_path / "a.vtu", {"rho": [0.1, 0.2, 0.3, 0.4]}, (vertices, broken)), reflectance="rho"
-    )
-    np.testing.assert_allclose(patches.reflectance[:, 0], [0.1, 0.2])
-    assert "of 4 faces 1 have no area and 1 are duplicates" in caplog.text
+    broken = np.concatenate([faces[:1], [[0, 1, 1, 0]], np.roll(faces[:1], 2, axis=1), faces[1:]])
+    path = written(tmp_path / "a.vtu", {"rho": [0.1, np.nan, 0.3, 0.4], "group": [7, 8, 7, 5]}, (vertices, broken))
+    patches = read_patches(path, reflectance="rho", emission=2.0)
+    assert "of 4 faces 1 have no area and 1 are duplicates" in caplog.text and "face 1, 2" in caplog.text
+    assert patches.empty.tolist() == [False, True, True, False] and patches.face.tolist() == [0, 1, 2, 3]
+    np.testing.assert_allclose(patches.reflectance[:, 0], [0.1, 0, 0, 0.4])
+    np.testing.assert_allclose(patches.emission[:, 0], [2, 0, 0, 2])
+    np.testing.assert_allclose(patches.areas, [1, 0, 0, 1])
+
+    groups = read_patches(path, reflectance="rho", ids="group")
+    assert groups.labels.tolist() == [5, 7, 8] and groups.face.tolist() == [3, 0, 1]
+    np.testing.assert_allclose(groups.reflectance[:, 0], [0.4, 0.1, 0])
+    np.testing.assert_allclose(groups.areas, [1, 1, 0])
 
 
 @pytest.mark.parametrize(

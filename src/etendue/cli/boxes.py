@@ -81,11 +81,9 @@ def resume_hierarchy(
     """Go on with a checkpoint, and write its file anew."""
     from etendue.jobs import HierarchyRequest, asked_before
 
-    if len(output) > 1:
-        raise OptionError(f"etendue radiosity writes one file, not {len(output)}")
     request: Any = asked_before(
         saved,
-        output=output[0] if output else None,
+        output=output,
         kinds=(HierarchyRequest,),
         checkpoint=checkpoint,
         wording=out.Options(),

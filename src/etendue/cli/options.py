@@ -85,6 +85,13 @@ def parse_size(text: str) -> Size:
     return Size(int(match[1]), int(match[2]))
 
 
+def only_one(outputs: list[Path]) -> Path:
+    """The file or folder of a command that writes one. Raises :class:`OptionError` for several."""
+    if len(outputs) > 1:
+        raise OptionError(f"-o names one file or folder here, not {len(outputs)}: {', '.join(map(str, outputs))}")
+    return outputs[0]
+
+
 def budget(time: float | None, spp: int | None, error: float | None) -> Budget:
     """The budget from --time, --spp and --error. Raises :class:`OptionError` for values that are not above 0."""
     from etendue.engine import Budget
@@ -276,7 +283,8 @@ Exposure = Annotated[
     ),
 ]
 Folder = Annotated[
-    Path, typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR")
+    list[Path] | None,
+    typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR"),
 ]
 Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers: albedo, normal, depth, emission; variance.")]
 Components = Annotated[

@@ -37,11 +37,13 @@ CodecName = Annotated[
     ),
 ]
 
+NewFile = Annotated[list[Path], typer.Option("-o", "--output", help="New file of particles.", metavar="FILE")]
+
 
 @app.command()
 def trace(
     scene: opt.Scene,
-    output: Annotated[Path, typer.Option("-o", "--output", help="New file of particles.", metavar="FILE")],
+    output: NewFile,
     paths: Annotated[
         int | None, typer.Option("--paths", help="Light paths; 1000000 if no budget is given.", min=1, metavar="N")
     ] = None,
@@ -93,6 +95,7 @@ def trace(
     from etendue.jobs import ParticleRequest, ParticleWork
     from etendue.scene import locate
 
+    file = opt.only_one(output)
     settings: dict[str, Any] = dict(opt.parse_pairs(define, "-D"))
     short = {"keep": keep, "after": after, "specular": specular or None}
     for name, value in short.items():
@@ -101,7 +104,7 @@ def trace(
         settings |= {} if value is None else {name: value}
     request = ParticleRequest(
         scene=locate(scene, lambda text: note(error_console(), text)),
-        output=output,
+        output=file,
         paths=paths,
         particles=particles,
         seconds=time,
@@ -115,7 +118,7 @@ def trace(
         wording=Options(),
     )
     device = opt.Device(variant, threads, cluster, workers)
-    return _run(lambda: ParticleWork.open(request), output, device)
+    return _run(lambda: ParticleWork.open(request), file, device)
 
 
 def _boxes(text: str | None, has_workers: bool) -> tuple[int, int, int] | None:
@@ -204,7 +207,7 @@ def info(
 @app.command()
 def compress(
     file: Annotated[Path, typer.Argument(help="File of particles.", metavar="FILE")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="New file of particles.", metavar="FILE")],
+    output: NewFile,
     codec: CodecName = "packed",
     debug: opt.Debug = False,
 ) -> int:
@@ -212,17 +215,17 @@ def compress(
     from etendue.jobs import repack
     from etendue.particles import ParticleFile
 
-    console = error_console()
+    console, packed = error_console(), opt.only_one(output)
     with console.status("packing") as status:
-        repack(file, output, codec, lambda done, of: status.update(f"packing: pass {done} of {of}"))
-    before, after = ParticleFile(file), ParticleFile(output)
+        repack(file, packed, codec, lambda done, of: status.update(f"packing: pass {done} of {of}"))
+    before, after = ParticleFile(file), ParticleFile(packed)
     count = max(len(after), 1)
     note(
         console,
         f"{len(after)} particles: {before.size / count:.2f} bytes each by {before.codec}, {after.size / count:.2f} by "
         f"{after.codec}",
     )
-    say(str(output))
+    say(str(packed))
     return 0
 
 

@@ -139,7 +139,7 @@ def compare(
     method: Annotated[
         list[str] | None, typer.Option("--method", "-m", help="A method; give it twice or more.", metavar="NAME")
     ] = None,
-    output: opt.Folder = Path("comparison"),
+    output: opt.Folder = None,
     reference: Annotated[
         Path | None, typer.Option(help="A converged picture to measure the error against.", metavar="FILE")
     ] = None,
@@ -169,7 +169,7 @@ def compare(
 ) -> int:
     """Render a scene by several methods for the same time, and write a page that compares them.
 
-    By default `path` and `vcm`, 60 seconds each.
+    By default `path` and `vcm`, 60 seconds each, in the folder `comparison`.
     """
     from etendue.engine import Budget
     from etendue.scene import locate
@@ -177,6 +177,7 @@ def compare(
     from .experiments.compare import Comparison, tasks
     from .rendering import choose_device
 
+    folder = opt.only_one(output or [Path("comparison")])
     budget = opt.budget(time, spp, error) or Budget(seconds=60)
     notes: list[str] = []
     wanted = tasks(
@@ -195,21 +196,25 @@ def compare(
     for text in notes:
         note(console, text)
     with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        return Comparison(wanted, output, reference, seeds=seeds, cluster=opened).run(console)
+        return Comparison(wanted, folder, reference, seeds=seeds, cluster=opened).run(console)
 
 
 def demo(
-    output: opt.Folder = Path("demo-output"),
+    output: opt.Folder = None,
     time: opt.Time = 45.0,
     size: opt.PictureSize = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Render the bundled caustic scene by path tracing and by VCM for the same time, and write a page."""
+    """Render the bundled caustic scene by path tracing and by VCM for the same time, and write a page.
+
+    By default in the folder `demo-output`.
+    """
     from .experiments.compare import demonstration
     from .rendering import choose_device
 
-    comparison = demonstration(output, opt.budget(time, None, None), size)
+    folder = opt.only_one(output or [Path("demo-output")])
+    comparison = demonstration(folder, opt.budget(time, None, None), size)
     choose_device(variant, threads)
     return comparison.run(error_console())

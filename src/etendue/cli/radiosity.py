@@ -62,9 +62,7 @@ def form_factors(
             help="Mesh (PLY, OBJ, STL, VTU, glTF and others), Mitsuba XML file, or bundled scene.", metavar="SCENE"
         ),
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help=".npz or .nc (arrays), .vf (View3D's text).", metavar="FILE")
-    ] = Path("factors.npz"),
+    output: out.FactorFiles = None,
     bundles: Bundles = None,
     time: opt.Time = None,
     error: Error = None,
@@ -86,7 +84,7 @@ def form_factors(
     exact: Annotated[
         bool, typer.Option("--exact", help="By integrals instead of lines, for surfaces without occlusion.")
     ] = False,
-    seed: LineSeed = 0,
+    seed: LineSeed = None,
     no_local_rays: NoLocalRays = False,
     checkpoint: CheckpointFile = None,
     save_every: opt.SaveEvery = 60.0,
@@ -115,11 +113,11 @@ def form_factors(
         engine=engine,
         point_set=point_set,
         main_share=main_share,
-        outputs=(output,),
+        outputs=tuple(output or [Path("factors.npz")]),
         seconds=time,
         bundles=bundles,
         error=error,
-        seed=seed,
+        seed=seed or 0,
         max_area=max_area,
         local_rays=not no_local_rays,
         mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
@@ -138,16 +136,7 @@ def radiosity(
     scene: Annotated[
         str, typer.Argument(help="Mitsuba XML file, bundled scene, or mesh (PLY, OBJ, VTU, glTF and others).")
     ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help=".vtu (ParaView), .ply, .glb, .gltf (vertex colours), .npz, .nc (arrays); .exr, .png (a picture); "
-            ".html (a page).",
-            metavar="FILE",
-        ),
-    ] = Path("solution.vtu"),
+    output: out.SolutionFiles = None,
     bundles: Bundles = None,
     time: opt.Time = None,
     error: Error = None,
@@ -187,7 +176,7 @@ def radiosity(
     ] = None,
     ids: Ids = None,
     two_sided: TwoSided = False,
-    seed: LineSeed = 0,
+    seed: LineSeed = None,
     no_shot: Annotated[
         bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
@@ -222,22 +211,25 @@ def radiosity(
     Stops at the first of --bundles (or --points), --time and --error that is reached, or by Ctrl-C, and writes the
     solution from the lines so far.
     """
-    from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
+    from etendue.jobs import RadiosityRequest, SolutionOutputs, files_and_lightmap, radiosity_work
 
     device = opt.Device(variant, threads, cluster, workers)
+    named = output or [Path("solution.vtu")]
+    files, map_file = (tuple(named), None) if lightmap is None else files_and_lightmap(named)
+    files = out.with_page(files, named[0], page)
     asked: dict[str, Any] = dict(
         source=scene,
         solver=solver,
         outputs=SolutionOutputs(
-            files=out.with_page((output,) if lightmap is None else (), output, page),
-            command=command_line() if page or output.suffix == ".html" else "",
+            files=files,
+            command=command_line() if any(path.suffix == ".html" for path in files) else "",
             size=size,
             sensor=sensor,
             gather=gather,
             samples=spp,
             smooth=not flat,
             error_picture=error_picture,
-            lightmap=None if lightmap is None else output,
+            lightmap=map_file,
             lightmap_size=lightmap or 1024,
             uv=uv,
         ),
@@ -245,7 +237,7 @@ def radiosity(
         bundles=bundles,
         points=points,
         error=error,
-        seed=seed,
+        seed=seed or 0,
         max_area=max_area,
         shot=not no_shot,
         ambient=ambient,
@@ -282,7 +274,9 @@ def radiosity(
     request = RadiosityRequest(**asked)
     if solution is not None:
         device.check_alone("--solution")
-        return _write_again(request, solution, device)
+        if checkpoint is not None:
+            raise OptionError("--solution is there already and casts no lines: leave out --checkpoint")
+        return _write_again(request, solution, {} if seed is None else {"seed": seed}, device)
     if request.is_instant:
         device.check_alone("--ambient")
         return _run_ambient(request, device)
@@ -307,14 +301,12 @@ def resume_lines(
     request: Any = asked_before(
         saved,
         source=scene,
-        output=output[0] if output else None,
+        output=output,
         **given,
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),
     )
-    if len(output) > 1:
-        raise OptionError(f"etendue {request.work} writes one file, not {len(output)}")
     work: Any = FormFactorWork if isinstance(request, FormFactorRequest) else radiosity_work
     return _run(request, lambda **options: work(request, saved, **options), device)
 
@@ -363,14 +355,15 @@ def _run_ambient(request: RadiosityRequest, device: opt.Device) -> int:
     return status
 
 
-def _write_again(request: RadiosityRequest, solution: Path, device: opt.Device) -> int:
-    """Write the outputs of a solution from a file. Returns the exit status."""
+def _write_again(request: RadiosityRequest, solution: Path, given: Mapping[str, Any], device: opt.Device) -> int:
+    """Write the outputs of a solution from a file. ``given``: options with their default values. Returns the exit
+    status."""
     from .solutions import solution_to_files
 
     device.choose()
     with _ended_by_ctrl_c(None):
         problem = request.problem(lambda text: note(error_console(), text))
-        status = solution_to_files(request, problem, solution)
+        status = solution_to_files(request, problem, solution, given)
     say("\n".join(map(str, request.files)))
     return status
 

@@ -46,7 +46,9 @@ TwoSided = Annotated[
     bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
 ]
 NoLocalRays = Annotated[bool, typer.Option("--no-local-rays", help="No rays from small patches, which few lines meet.")]
-LineSeed = Annotated[int, typer.Option("--seed", help="The same seed gives the same lines.", metavar="N")]
+LineSeed = Annotated[
+    int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
+]
 Hierarchy = Annotated[
     str | None,
     typer.Option(

@@ -9,6 +9,25 @@ import typer
 
 from etendue.jobs import Wording
 
+FactorFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help=".npz or .nc (arrays), .vf (View3D's text); repeatable. By default factors.npz.",
+        metavar="FILE",
+    ),
+]
+SolutionFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help=".vtu (ParaView), .ply, .glb, .gltf (vertex colours), .npz, .nc (arrays); .exr, .png (a picture); .html "
+        "(a page); repeatable. By default solution.vtu.",
+        metavar="FILE",
+    ),
+]
 Gather = Annotated[
     int,
     typer.Option(

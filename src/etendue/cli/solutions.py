@@ -16,6 +16,8 @@ from .console import error_console, note
 from .rendering import Outcome, follow
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from etendue.engine import RunResult
     from etendue.jobs import (
         FormFactorRequest,
@@ -65,14 +67,16 @@ def finish(work: PatchWork[Any, Any], run: RunResult) -> int:
 
 def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
     """Integrate, write and report the form factors."""
-    from etendue.jobs import about
+    from etendue.jobs import Writing, about
     from etendue.radiosity import exact_form_factors, save_form_factors
 
     with error_console().status("integrating over contours"):
         factors = exact_form_factors(patches)
-        known = about(request.name, estimator="exact")
+        known, writing = about(request.name, estimator="exact"), Writing()
         for path in request.outputs:
-            save_form_factors(path, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
+            with writing.attempt(f"write '{path}'"):
+                save_form_factors(path, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
+        writing.finish()
     sky = (patches.areas * factors.sky).sum() / patches.areas.sum()
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
     _say(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
@@ -92,14 +96,17 @@ def ambient_to_files(request: RadiosityRequest) -> int:
     return exit_status(result)
 
 
-def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> int:
-    """Write the outputs of a solution from a file. Returns the exit status."""
-    from etendue.jobs import Writing
-    from etendue.radiosity import check_balance, read_solution
+def solution_to_files(
+    request: RadiosityRequest, problem: Problem | None, solved: Path, given: Mapping[str, Any]
+) -> int:
+    """Write the outputs of a solution from a file. ``given``: options with their default values. Returns the exit
+    status."""
+    from etendue.jobs import Writing, saved_solution
+    from etendue.radiosity import check_balance
 
-    solution, error = read_solution(solved)
+    solution, error, before = saved_solution(request, problem, solved, given)
     request.outputs.check_source(solution.patches, problem, request.wording)
-    writing, known = Writing(), {"source": str(solved)}
+    writing, known = Writing(), {"source": request.name, **before, "solution": str(solved)}
     with error_console().status("writing") as status:
         shown = request.outputs.write(writing, problem, solution, error, known, request.wording, status.update)
         writing.finish()
@@ -109,7 +116,7 @@ def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved
 
 def _rows(factors: FormFactors) -> str:
     """The range of row sums, including the sky."""
-    sums = factors.row_sums()
+    sums = factors.row_sums()[factors.areas > 0]
     least, most = f"{sums.min():.7g}", f"{sums.max():.7g}"
     whole = "rows and sky sum to" if (factors.sky > _NO_SKY).any() else "rows sum to"
     return f"{whole} {least}" if least == most else f"{whole} {least} to {most}"

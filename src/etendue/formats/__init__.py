@@ -4,7 +4,7 @@ from .arrays import save_arrays
 from .errors import FormatError
 from .gltf import GltfMesh, far_centre, read_texture_coordinates, write_gltf
 from .meshes import write_mesh
-from .netcdf import NetcdfFile, netcdf_library, read_netcdf
+from .netcdf import NetcdfFile, netcdf_library, netcdf_metadata, read_netcdf
 from .view3d import view3d_lines
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "NetcdfFile",
     "far_centre",
     "netcdf_library",
+    "netcdf_metadata",
     "read_netcdf",
     "read_texture_coordinates",
     "save_arrays",

@@ -119,6 +119,19 @@ def read_netcdf(path: str | os.PathLike[str], what: str, needed: tuple[str, ...]
     return {name: values.astype(values.dtype.newbyteorder("="), copy=False) for name, values in saved.items()}
 
 
+def netcdf_metadata(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The metadata of a file that :class:`NetcdfFile` wrote; empty if it has none. Raises :class:`FormatError` for
+    another file."""
+    try:
+        with netcdf_library(path).File(path, "r") as file:
+            known = json.loads(file.attrs.get("metadata", "{}"))
+    except BackendError:
+        raise
+    except Exception as error:  # the library raises many types of errors for other files
+        raise FormatError(f"'{path}' is no netCDF file with metadata") from error
+    return dict(known)
+
+
 def _storage(values: NDArray[Any]) -> dict[str, Any]:
     """How an array is stored. At compression level 1, with shuffled bytes, form factors take a third of their size and
     segments a fifth; higher levels take several times as long and save little more."""

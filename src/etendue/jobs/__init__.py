@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from .files import PathLike, Writing, check_files, listed
+from .files import PathLike, Writing, about, check_files, listed
 from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, check_picture, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
 from .running import Passes, Watch, Work, run_work, start_work
@@ -21,14 +21,13 @@ if TYPE_CHECKING:
     from .multipath import MultipathWork
     from .particles import DEFAULT_PATHS, TRACINGS, ParticleRequest, ParticleResult, ParticleWork, repack
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
-    from .solutions import ERROR_SCALE, SolutionOutputs
+    from .solutions import ERROR_SCALE, SolutionOutputs, files_and_lightmap, saved_solution
     from .solving import (
         FormFactorWork,
         LinesWork,
         PatchWork,
         RadiosityWork,
         RequestedWork,
-        about,
         radiosity_work,
         solve_ambient,
     )
@@ -47,14 +46,13 @@ else:
         "linesrequest": ("LinesRequest",),
         "particles": ("DEFAULT_PATHS", "TRACINGS", "ParticleRequest", "ParticleResult", "ParticleWork", "repack"),
         "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
-        "solutions": ("ERROR_SCALE", "SolutionOutputs"),
+        "solutions": ("ERROR_SCALE", "SolutionOutputs", "files_and_lightmap", "saved_solution"),
         "solving": (
             "FormFactorWork",
             "LinesWork",
             "PatchWork",
             "RadiosityWork",
             "RequestedWork",
-            "about",
             "radiosity_work",
             "solve_ambient",
         ),
@@ -119,6 +117,7 @@ __all__ = [
     "check_files",
     "check_map_file",
     "check_picture",
+    "files_and_lightmap",
     "listed",
     "make_map",
     "map_lightmap",
@@ -127,6 +126,7 @@ __all__ = [
     "repack",
     "run_work",
     "save_result",
+    "saved_solution",
     "solve_ambient",
     "split_settings",
     "start_work",

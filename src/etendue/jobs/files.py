@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from etendue.core import EtendueError, OptionError, OutputError, describe
 from etendue.film import check_writable
@@ -30,6 +33,18 @@ def check_files(paths: Iterable[Path]) -> None:
             raise OptionError(f"'{path}' is named for two outputs; give each a name of its own")
         seen.add(place)
         check_writable(path)
+
+
+def about(source: str, **more: Any) -> dict[str, Any]:
+    """Metadata of files: the software, the source, and ``more`` as plain values."""
+    known = {"software": f"etendue {metadata.version('etendue')}", "source": source, **more}
+    plain: dict[str, Any] = json.loads(json.dumps(known, default=_plain))
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    """A value for JSON: numbers and arrays of NumPy as those of Python, other objects as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def add_to_message(error: EtendueError, text: str) -> None:

@@ -20,7 +20,7 @@ from etendue.engine import Budget, RunError, Runner
 from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
 from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
 from etendue.scene import Problem, check, load
-from etendue.surfaces import PatchSurfaces, SurfaceValues
+from etendue.surfaces import PatchSurfaces, SurfaceValues, check_place
 from etendue.transport import CameraPath, CameraSampler, DirectWeights, Walker
 
 #: Suffixes of pictures and their meaning.
@@ -61,7 +61,8 @@ def picture(
     the visible surfaces due to the lines. on_pass: called with the number of finished passes and of all passes.
 
     Raises :class:`RadiosityError` unless there are one or three channels, and for errors of another shape,
-    :class:`etendue.core.OptionError` for less than one sample, and the errors of loading.
+    :class:`etendue.core.OptionError` for less than one sample, :class:`etendue.surfaces.SurfaceError` for patches that
+    are not on the surfaces of the scene, and the errors of loading.
     """
     check_colours(solution)
     for name, value, least in (("samples", samples, 1), ("gather", gather, 0)):
@@ -75,6 +76,7 @@ def picture(
     problem = scene if isinstance(scene, Problem) else load(scene, size=size, sensor=sensor, check=False)
     if gather or problem.scene.emitters():
         check(problem.scene, problem.sensor)  # without gathering, a scene needs no lights
+    check_place(solution.patches, problem, "the solution is")
     surfaces = PatchSurfaces(solution.patches)
     values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle, emission=gather == 0)
     method = _Gathered(surfaces, values) if gather else _Seen(surfaces, values, solution.patches.sky)

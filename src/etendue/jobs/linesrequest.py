@@ -85,6 +85,11 @@ class LinesRequest(ABC):
         """Whether form factors are computed from the lines, which takes memory."""
 
     @property
+    def keeps_groups(self) -> bool:
+        """Whether the parts of subdivided faces stay in the patches of their faces."""
+        return False
+
+    @property
     def is_watched(self) -> bool:
         """Whether errors are estimated during the run even if no budget asks for them."""
         return False
@@ -173,15 +178,18 @@ class LinesRequest(ABC):
 
     def _patches(self, problem: Problem | None) -> Patches:
         """The checked patches of the source, or of ``problem`` if the source is a scene."""
-        if isinstance(self.source, Patches):
-            patches = self.source
-        elif problem is not None:
-            patches = instanced_patches(problem, max_area=self.max_area)
-        else:
-            patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
-            patches = patches if self.max_area is None else patches.subdivided(self.max_area)
+        patches = self.read(problem)
         self.check_patches(patches, problem)
         return patches
+
+    def read(self, problem: Problem | None) -> Patches:
+        """The patches of the source, or of ``problem`` if the source is a scene."""
+        if isinstance(self.source, Patches):
+            return self.source
+        if problem is not None:
+            return instanced_patches(problem, max_area=self.max_area)
+        patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
+        return patches if self.max_area is None else patches.subdivided(self.max_area, grouped=self.keeps_groups)
 
     @abstractmethod
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:

@@ -35,6 +35,7 @@ from etendue.radiosity import (
 )
 from etendue.scene import Problem
 
+from .files import PathLike, listed
 from .hierarchies import GROUPINGS, HIERARCHY_OPTIONS, HierarchyOptions, check_array, objects_by
 from .linesrequest import NOTE, LinesRequest
 from .pages.solution import Making
@@ -62,6 +63,11 @@ class FormFactorRequest(HierarchyOptions, LinesRequest):
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
         """See :class:`LinesRequest`."""
         return self._loaded(tell)
+
+    @property
+    def keeps_groups(self) -> bool:
+        """See :class:`LinesRequest`: form factors are those of the groups that an array of the mesh file numbers."""
+        return self.mesh.get("ids") is not None
 
     @property
     def chosen_estimator(self) -> str:
@@ -134,12 +140,16 @@ class RadiosityRequest(LinesRequest):
 
     def making(self, history: Sequence[tuple[float, float]] = ()) -> Making:
         """The facts of a page about the run; ``history``: standard errors by number of lines or bundles."""
-        settings = {
+        return Making(_listed(self.asked), history, self._unit)
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """The fields without the source and the outputs that differ from their defaults."""
+        return {
             field.name: value
             for field in fields(self)
             if field.name not in _NOT_SETTINGS and (value := getattr(self, field.name)) != _default(field)
         }
-        return Making(_listed(settings), history, self._unit)
 
     @property
     def _unit(self) -> str:
@@ -319,7 +329,7 @@ class RadiosityRequest(LinesRequest):
         return {"parameters": self._plain_parameters, "outputs": self.outputs.to_dict()}
 
 
-#: Fields of a request that a page does not list as settings.
+#: Fields of a request that are no settings.
 _NOT_SETTINGS = ("source", "outputs", "checkpoint", "save_every", "wording")
 
 
@@ -339,23 +349,23 @@ def asked_before(
     saved: Checkpoint,
     *,
     source: Any = None,
-    output: Path | None = None,
+    output: PathLike | Sequence[PathLike] = (),
     kinds: Sequence[type[LinesRequest]] = (),
     **changes: Any,
 ) -> LinesRequest:
-    """The request of a checkpoint of lines, with another ``source`` and ``output`` where they are given.
+    """The request of a checkpoint of lines, with another ``source`` and ``output`` files if they are given.
 
     Raises :class:`CheckpointError` if the checkpoint has no request, and the errors of a request.
     """
     known_kinds: dict[str, Any] = {kind.work: kind for kind in kinds or (FormFactorRequest, RadiosityRequest)}
     try:
         known = dict(saved.notes[NOTE])
-        kind = known_kinds[known.pop("work")]
+        kind, outputs = known_kinds[known.pop("work")], listed(output)
         if kind is FormFactorRequest:
-            known["outputs"] = tuple(map(Path, known["outputs"])) if output is None else (output,)
+            known["outputs"] = tuple(outputs or map(Path, known["outputs"]))
         else:
-            outputs = SolutionOutputs.from_dict(known["outputs"])
-            known["outputs"] = outputs if output is None else outputs.renamed(output)
+            before = SolutionOutputs.from_dict(known["outputs"])
+            known["outputs"] = before.renamed(outputs) if outputs else before
         if source is not None:
             known["source"] = source
         return kind(**known, **changes)

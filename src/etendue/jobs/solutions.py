@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -26,12 +27,15 @@ from etendue.radiosity import (
     check_file,
     gltf_mesh,
     lightmap,
+    read_solution,
     save_lightmap,
     save_solution,
     save_textured_mesh,
     scene_mesh,
+    solution_metadata,
 )
 from etendue.scene import Problem
+from etendue.surfaces import differences
 
 from .files import Writing
 from .gathering import PICTURE_FILES, picture
@@ -39,12 +43,19 @@ from .pages.solution import PAGE_FILES, Making, write_solution_page
 from .pictures import save_result
 from .wording import Wording
 
+if TYPE_CHECKING:
+    from .requests import RadiosityRequest
+
 #: Scale of error pictures: the relative standard errors shown as black and as yellow.
 ERROR_SCALE = (1e-3, 1.0)
 #: Value of ``uv`` for the scene's own texture coordinates.
 OWN = "scene"
 #: Suffixes of meshes with vertex colours.
 _COLOURS = (".ply", ".glb", ".gltf")
+#: Names in the metadata of a solution of what it was made by in the end, whatever was asked for.
+_MADE_BY = {"bundles": ("bundles", "passes"), "points": ("points",), "seed": ("seed",), "solver": ("solver",)}
+#: Suffixes of lightmaps and of their meshes.
+_LIGHTMAPS = {".exr": "lightmap"} | LIGHTMAP_MESHES
 #: Smallest size of a lightmap in texels.
 _LEAST_TEXELS = 16
 
@@ -118,7 +129,7 @@ class SolutionOutputs:
         for path in self.files:
             check_file(path, SOLUTION_FILES | PICTURE_FILES | PAGE_FILES)
         if self.lightmap is not None:
-            check_file(self.lightmap, {".exr": "lightmap"} | LIGHTMAP_MESHES)
+            check_file(self.lightmap, _LIGHTMAPS)
         for name, least in (("sensor", 0), ("gather", 0), ("samples", 1), ("lightmap_size", _LEAST_TEXELS)):
             if not is_whole(value := getattr(self, name)) or value < least:
                 raise OptionError(f"{option(name)} is a whole number of at least {least}, not {value!r}")
@@ -245,11 +256,12 @@ class SolutionOutputs:
 
     # ------------------------------------------------------------------ plain values
 
-    def renamed(self, output: Path) -> SolutionOutputs:
-        """The same outputs with one file; a lightmap, if there were no other files."""
+    def renamed(self, outputs: Sequence[Path]) -> SolutionOutputs:
+        """The same outputs with other files; one is the lightmap, if there were no other files than that."""
         if self.files or self.lightmap is None:
-            return replace(self, files=(output,), lightmap=None, uv=None)
-        return replace(self, lightmap=output)
+            return replace(self, files=tuple(outputs), lightmap=None, uv=None)
+        files, lightmap = files_and_lightmap(outputs)
+        return replace(self, files=files, lightmap=lightmap)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values with absolute paths."""
@@ -266,6 +278,90 @@ class SolutionOutputs:
         lightmap, size = plain.get("lightmap"), plain.get("size")
         paths = {"files": tuple(map(Path, plain["files"])), "lightmap": lightmap and Path(lightmap)}
         return cls(**{**plain, **paths, "size": size and tuple(size)})  # JSON knows no tuples
+
+
+def files_and_lightmap(outputs: Sequence[Path]) -> tuple[tuple[Path, ...], Path]:
+    """The file of a lightmap among ``outputs``, by its suffix, and the others. Raises :class:`OptionError` if several
+    files could be that of the lightmap."""
+    could = [path for path in outputs if path.suffix.lower() in _LIGHTMAPS]
+    if len(outputs) > 1 and len(could) != 1:
+        found = "none" if not could else f"{len(could)} of them"
+        raise OptionError(
+            f"one of {len(outputs)} outputs is the lightmap, {', '.join(_LIGHTMAPS)}, but {found} could be: name one, "
+            "and write other files from the solution (.npz) afterwards"
+        )
+    lightmap = (could or outputs)[0]
+    return tuple(path for path in outputs if path != lightmap), lightmap
+
+
+def saved_solution(
+    request: RadiosityRequest, problem: Problem | None, path: Path, more: Mapping[str, Any] | None = None
+) -> tuple[Solution, Array | None, dict[str, Any]]:
+    """The solution of a file, the standard error of its irradiance and its metadata.
+
+    more: options that were given although they have the default value. Raises :class:`OptionError` for options that
+    contradict those of the solution, :class:`RadiosityError` for a solution of another scene, and the errors of
+    :func:`read_solution`.
+    """
+    solution, error = read_solution(path)
+    known = solution_metadata(path)
+    _check_options(path, known, {**request.asked, **(more or {})}, request)
+    _check_scene(path, known, solution.patches, request, problem)
+    return solution, error, known
+
+
+def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with those of the mesh and of groups at the same level, as plain values, without those not given, and
+    without parameters of the scene, which the scene itself shows."""
+    flat = {name: value for name, value in settings.items() if not isinstance(value, Mapping)}
+    for name in ("mesh", "groups"):
+        flat |= {key: value for key, value in settings.get(name, {}).items() if value is not False}
+    plain: dict[str, Any] = json.loads(json.dumps(flat, default=lambda value: value.tolist()))
+    return {name: value for name, value in plain.items() if value is not None}
+
+
+def _check_options(path: Path, known: Mapping[str, Any], asked: Mapping[str, Any], request: RadiosityRequest) -> None:
+    defaults = {field.name: field.default for field in fields(request)}
+    before, unknown = _flat(known.get("settings", {})), "settings" not in known
+    wrong = []
+    for name, value in _flat(asked).items():
+        option = request.wording.option(name)
+        made = next((known[key] for key in _MADE_BY.get(name, ()) if key in known), None)
+        if made is None and unknown and value is not False:
+            raise OptionError(f"'{path}' does not say its {option}: leave it out, since nothing is solved again")
+        if made is None:
+            made = before.get(name, defaults.get(name))
+        if made != value and (made or value):
+            wrong.append(f"{_with(option, made)}, not {_with(option, value)}")
+    if wrong:
+        raise OptionError(f"'{path}' was made {'; '.join(wrong)}: leave that out, or solve again without the solution")
+
+
+def _with(option: str, value: Any) -> str:
+    if value is None or (value is True and option.startswith("--no-")):
+        return f"without {option}"
+    if isinstance(value, bool):
+        return f"with {option}"
+    row = np.ravel(value).tolist()
+    return f"with {option}{'' if option.endswith('=') else ' '}{','.join(map(str, row))}"
+
+
+def _check_scene(
+    path: Path, known: Mapping[str, Any], patches: Patches, request: RadiosityRequest, problem: Problem | None
+) -> None:
+    """Raise :class:`RadiosityError` unless the patches are those of the request's source."""
+    before = known.get("settings", {})
+    mesh = {**before.get("mesh", {}), **{name: value for name, value in request.mesh.items() if value is not None}}
+    max_area = request.max_area if request.max_area is not None else before.get("max_area")
+    here = replace(request, mesh=mesh if request.is_mesh else {}, max_area=max_area).read(problem)
+    # A file of an earlier version, or from Python, does not say how it was made.
+    told = "settings" in known
+    different = differences(patches, here, divided=not told and max_area is None, light=told or not request.is_mesh)
+    if different:
+        of = f" ({known['source']})" if "source" in known else ""
+        raise RadiosityError(
+            f"'{path}' is the solution of another scene{of} than '{request.name}': {', '.join(different)}; solve again"
+        )
 
 
 def _beside(path: Path) -> Path:

@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
@@ -25,7 +24,7 @@ from etendue.radiosity import (
     solve,
 )
 
-from .files import Writing, add_to_message, rescued
+from .files import Writing, about, add_to_message, rescued
 from .lines import LinesJob, LinesTask
 from .linesrequest import LinesRequest
 from .requests import MULTIPATH, FormFactorRequest, RadiosityRequest
@@ -185,6 +184,8 @@ class RequestedWork(ABC, Generic[Q, R]):
     def _metadata(self, **more: Any) -> dict[str, Any]:
         """Metadata of the files."""
         source = self.request.name if self.problem is None else self.problem.source
+        if isinstance(self.request, RadiosityRequest):
+            more["settings"] = self.request.asked
         return about(source, seed=self.request.seed, **more)
 
 
@@ -380,7 +381,8 @@ def solve_ambient(
     solution = ambient_solution(patches, request.ambient, parts)  # type: ignore[arg-type]
     elapsed = time.perf_counter() - begin
     source = request.name if problem is None else problem.source
-    known, writing = about(source, solver=f"ambient, {request.ambient}", imbalance=solution.imbalance), Writing()
+    known = about(source, solver=f"ambient, {request.ambient}", imbalance=solution.imbalance, settings=request.asked)
+    writing = Writing()
     shown = request.outputs.write(writing, problem, solution, None, known, request.wording, tell, request.making())
     writing.finish()
     about_run: Any = {"patches": patches, "stopped_by": "ambient", "elapsed": elapsed, "irradiance_error": None}
@@ -391,8 +393,3 @@ def solve_ambient(
         picture=shown.picture,
         lightmap=shown.lightmap,
     )
-
-
-def about(source: str, **more: Any) -> dict[str, Any]:
-    """Metadata of files: the software and the source."""
-    return {"software": f"etendue {metadata.version('etendue')}", "source": source, **more}

@@ -60,7 +60,7 @@ from .files.results import (
     save_form_factors,
     save_solution,
 )
-from .files.solutionfiles import read_solution
+from .files.solutionfiles import read_solution, solution_metadata
 from .hierarchical_factors.allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
 from .hierarchical_factors.casting import HierarchicalCasting, HierarchicalCastingSettings
 from .hierarchical_factors.lines import TreeBundles, TreeRays
@@ -213,6 +213,7 @@ __all__ = [
     "scene_patches",
     "shot_at_patches",
     "small_emitters",
+    "solution_metadata",
     "solve",
     "sphere_tree",
     "spread",

@@ -219,7 +219,8 @@ class LineCasting:
         if self.goal is None or len(record.passes) < _LEAST_PASSES:
             return None
         if self.goal == "rows":
-            return float(np.mean(1 / np.sqrt(self.engine.expected(self.bundles(measurement)))) ** 2)
+            expected = self.engine.expected(self.bundles(measurement))
+            return float(np.mean(1 / np.sqrt(expected[~self.patches.empty])) ** 2)
         return self._error.square(record, lambda: self._lines(measurement), self.shot(measurement))
 
     def finish_seconds(self, measurement: Measurement) -> float:

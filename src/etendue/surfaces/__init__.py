@@ -27,7 +27,7 @@ from .lightmaps.atlases import (
 from .lightmaps.colours import shown_exposure, vertex_colours
 from .lightmaps.textures import Lightmap, check_coordinates, lightmap_from, lightmap_of, save_lightmap
 from .maps.cells import HistogramBuilder, PatchMap
-from .maps.files import read_map, save_map, solution_map
+from .maps.files import check_place, read_map, save_map, solution_map
 from .maps.kernels import KernelBuilder, variable_bandwidths
 from .maps.nearest import PARTICLE_BYTES, NearestMap
 from .maps.places import MapSurfaces
@@ -43,6 +43,7 @@ from .readers.meshfiles import read_patches
 from .readers.sceneparts import has_instances, scene_parts
 from .readers.scenepatches import scene_patches
 from .readers.tessellation import shape_triangles
+from .savedpatches import differences, saved_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
 from .spheres import bounding_sphere, joint_sphere
@@ -89,6 +90,7 @@ __all__ = [
     "box",
     "box_tree",
     "check_coordinates",
+    "check_place",
     "class_factors",
     "class_light",
     "class_weights",
@@ -96,6 +98,7 @@ __all__ = [
     "cosine_lanes",
     "cosine_law",
     "diagnose",
+    "differences",
     "equal_factors",
     "even_lanes",
     "face_sides",
@@ -118,6 +121,7 @@ __all__ = [
     "save_lightmap",
     "save_map",
     "save_textured_mesh",
+    "saved_patches",
     "scene_mesh",
     "scene_parts",
     "scene_patches",

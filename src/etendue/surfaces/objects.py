@@ -109,7 +109,11 @@ def find_objects(
     does not fit, for ``shapes`` of patches without shapes, for unknown walls, and if there is no object.
     """
     group, names = _groups(patches, by)
-    fronts = int(patches.front.max()) + 1
+    if patches.empty.any():
+        group = np.where(patches.empty, -1, group)
+        used = np.unique(group[group >= 0])
+        group, names = np.where(group < 0, -1, np.searchsorted(used, group)), [names[k] for k in used]
+    fronts = patches.fronts
     lower, upper = _boxes(patches, group, len(names))
     areas, one_side = (_areas(patches, group, sides, len(names)) for sides in (len(patches), fronts))
     if walls is not None:
@@ -140,7 +144,7 @@ def _groups(patches: Patches, by: str | ArrayLike) -> tuple[Index, list[str]]:
         return ways[by](patches)
     numbers = np.asarray(by)
     other = patches.other_side
-    fronts = int(patches.front.max()) + 1
+    fronts = patches.fronts
     if numbers.shape not in ((len(patches),), (fronts,)) or numbers.dtype.kind not in "iu":
         also = f" (or of {fronts} without backs)" if fronts < len(patches) else ""
         raise PatchError(

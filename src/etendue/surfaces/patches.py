@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,13 +18,14 @@ from .faces import face_vectors, flat_faces
 from .subdivision import subdivide
 
 Index = NDArray[np.int64]
+Number = TypeVar("Number", bound=np.generic)
 
 #: Bytes for each patch made by subdivision (measured: 460).
 _BYTES = 500
 #: Attributes that :meth:`Patches.arrays` contains.
 _ARRAYS = (
     *("vertices", "faces", "face_areas", "face_normals", "labels", "front", "back", "_fronts", "_sheets"),
-    *("reflectance", "emission", "sky"),
+    *("numbers", "face", "reflectance", "emission", "sky"),
 )
 
 
@@ -48,6 +49,9 @@ class Patches(InNotebooks):
     two_sided: whether the backs are patches too: one answer, or one for each patch (n,). Backs get the reflectance of
         the front and no emission, unless ``reflectance`` and ``emission`` have rows for them (see above).
     sky: radiosity of the surroundings, seen in directions without a face: a number, or (c,).
+    left_out: indices of faces that are left out, such as those without area. Their patches keep their rows: a patch
+        without any other face is ``empty``. It has area, reflectance and emission zero, and sees nothing.
+    numbers: (m,) numbers of the faces, for ``face``; by default their indices.
 
     Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
     out of range, a reflectance outside [0, 1), a negative emission.
@@ -55,12 +59,14 @@ class Patches(InNotebooks):
     Attributes
     ----------
     faces: (f, 4) vertex indices; a triangle repeats its last index.
+    numbers: (f,) the number of the face that each of them is, or is a part of.
     face_areas, face_normals: (f,), (f, 3).
     front, back: (f,) the patch of each side of a face, -1 for a back that belongs to none.
     areas, normals, centres: (n,), (n, 3), (n, 3), of patches; the normal is the mean over the patch.
     reflectance, emission: (n, c).
     sky: (c,).
-    labels: (n,) the number in ``ids``, or the number of the face; a back has the label of its front.
+    face: (n,) the number of the first face of each patch, for example in the mesh file.
+    labels: (n,) the number in ``ids``, or the index of the face; a back has the label of its front.
     shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, to which each patch belongs, -1 for
         none; and the names of the shapes. ``shapes`` is ``None`` if they are not known.
     """
@@ -78,13 +84,19 @@ class Patches(InNotebooks):
         ids: ArrayLike | None = None,
         two_sided: ArrayLike = False,
         sky: ArrayLike = 0.0,
+        left_out: ArrayLike = (),
+        numbers: ArrayLike | None = None,
     ) -> None:
         self.vertices: Array = _vertices(vertices)
-        self.faces, rows = flat_faces(self.vertices, faces)
-        self.face_areas, self.face_normals = _faces_with_area(self.vertices, self.faces, rows)
+        quads, rows = flat_faces(self.vertices, faces)
         count = int(rows[-1]) + 1
-        labels = np.arange(count) if ids is None else _whole(ids, count)
-        self.labels, patch = np.unique(labels, return_inverse=True)
+        labels = np.arange(count) if ids is None else _whole("ids", ids, count)
+        number = np.arange(count) if numbers is None else _whole("numbers", numbers, count)
+        self.labels, first, patch = np.unique(labels, return_index=True, return_inverse=True)
+        kept = ~np.isin(rows, np.asarray(left_out, dtype=np.int64))
+        self.faces, rows = quads[kept], rows[kept]
+        self.face_areas, self.face_normals = _faces_with_area(self.vertices, self.faces, rows)
+        self.numbers: Index = number[rows]
         self.front: Index = patch[rows].astype(np.int64)
         fronts = len(self.labels)
 
@@ -96,12 +108,12 @@ class Patches(InNotebooks):
         back[sheets] = fronts + np.arange(np.count_nonzero(sheets))
         self.back: Index = back[self.front]
         self._fronts, self._sheets = fronts, np.flatnonzero(sheets)
-        self.labels = np.concatenate([self.labels, self.labels[self._sheets]])
+        self.labels, self.face = (self._both_sides(x) for x in (self.labels, number[first]))
         self._set_properties(reflectance, emission, sky)
 
     def _set_properties(self, reflectance: ArrayLike, emission: ArrayLike, sky: ArrayLike) -> None:
-        rho = self._spread("reflectance", reflectance, backs=1.0)
-        exitance = self._spread("emission", emission, backs=0.0)
+        rho = np.where(self.empty[:, None], 0.0, self._spread("reflectance", reflectance, backs=1.0))
+        exitance = np.where(self.empty[:, None], 0.0, self._spread("emission", emission, backs=0.0))
         light = np.atleast_1d(np.asarray(sky, dtype=np.float64))
         if light.ndim != 1 or not np.isfinite(light).all() or (light < 0).any():
             raise PatchError("the sky has one number for each channel, not negative and finite")
@@ -197,6 +209,22 @@ class Patches(InNotebooks):
         """(n,)"""
         return self._both_sides(np.bincount(self.front, self.face_areas, self._fronts).astype(np.float64))
 
+    @property
+    def empty(self) -> NDArray[np.bool_]:
+        """(n,) patches without a face, because it was left out."""
+        return self.areas == 0
+
+    @cached_property
+    def divisors(self) -> Array:
+        """(n,) the areas to divide by: 1 for empty patches, whose sums are zero."""
+        return np.where(self.empty, 1.0, self.areas)
+
+    @property
+    def names(self) -> NDArray[np.str_]:
+        """(n,) the name of the shape of each patch, empty where there is none."""
+        known = np.array([*self.shape_names, ""], dtype=str)
+        return known[np.full(len(self), -1) if self.shapes is None else self.shapes]
+
     @cached_property
     def normals(self) -> Array:
         """(n, 3) unit vectors; the mean for a patch that is not flat, zero if the mean vanishes."""
@@ -209,17 +237,17 @@ class Patches(InNotebooks):
 
     @cached_property
     def centres(self) -> Array:
-        """(n, 3)"""
+        """(n, 3); zero for empty patches."""
         middle = self.vertices[self.faces].mean(axis=1)
         triangle = self.faces[:, 2] == self.faces[:, 3]
         middle[triangle] = self.vertices[self.faces[triangle, :3]].mean(axis=1)
-        return self._both_sides(self._sums(middle)) / self.areas[:, None]
+        return self._both_sides(self._sums(middle)) / self.divisors[:, None]
 
     def _sums(self, of_faces: Array) -> Array:
         weighted = of_faces * self.face_areas[:, None]
         return np.stack([np.bincount(self.front, column, self._fronts) for column in weighted.T], axis=1)
 
-    def _both_sides(self, fronts: Array) -> Array:
+    def _both_sides(self, fronts: NDArray[Number]) -> NDArray[Number]:
         return np.concatenate([fronts, fronts[self._sheets]])
 
     @cached_property
@@ -240,11 +268,12 @@ class Patches(InNotebooks):
         used = self.vertices[np.unique(self.faces)]
         return centre, float(np.sqrt(((used - centre) ** 2).sum(axis=1).max()))
 
-    def subdivided(self, max_area: float) -> Patches:
+    def subdivided(self, max_area: float, *, grouped: bool = False) -> Patches:
         """The same surfaces in patches of at most ``max_area``: each larger face is divided into equal parts.
 
-        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the original
-        patches. Raises :class:`PatchError` for an area that is not positive, and for more faces than memory can hold.
+        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` and ``face`` are those of the
+        original patches and faces. grouped: the parts stay in their patches instead. Raises :class:`PatchError` for an
+        area that is not positive, and for more faces than memory can hold.
         """
         if not np.isfinite(max_area) or max_area <= 0:
             raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
@@ -255,26 +284,39 @@ class Patches(InNotebooks):
                 f"{free / 1e9:.1f} GB are free: allow larger ones"
             )
         vertices, faces, source = subdivide(self.vertices, self.faces, max_area)
-        front, back = self.front[source], self.back[source]
-        sides = np.concatenate([front, back[back >= 0]])
+        # Empty patches have a face without area, which is left out again.
+        empty = np.flatnonzero(self.empty[: self._fronts])
+        number = np.concatenate([self.numbers[source], self.face[empty]])
+        order = np.argsort(number, kind="stable")
+        front = np.concatenate([self.front[source], empty])[order]
+        back = self.other_side[front]
+        sides = np.arange(len(self)) if grouped else np.concatenate([front, back[back >= 0]])
         result = Patches(
             vertices,
-            faces,
+            np.concatenate([faces, np.zeros((len(empty), 4), np.int64)])[order],
             reflectance=self.reflectance[sides],
             emission=self.emission[sides],
-            two_sided=back >= 0,
+            ids=front if grouped else None,
+            two_sided=self.other_side[: self._fronts] >= 0 if grouped else back >= 0,
             sky=self.sky,
+            left_out=np.flatnonzero(order >= len(source)),
+            numbers=number[order],
         )
-        result.labels = self.labels[sides]
-        result.shapes, result.shape_names = None if self.shapes is None else self.shapes[sides], self.shape_names
+        result._name_as(self, sides)
         return result
+
+    def _name_as(self, other: Patches, patches: Index) -> None:
+        """Take labels and shapes from ``patches`` (n,) of another mesh."""
+        self.labels = other.labels[patches]
+        self.shapes, self.shape_names = None if other.shapes is None else other.shapes[patches], other.shape_names
 
     def only(self, chosen: ArrayLike) -> tuple[Patches, Index]:
         """The ``chosen`` (n,) patches with their labels, and the index that each of them has here.
 
-        Both sides of a sheet stay together: only the choice of fronts counts. Raises :class:`PatchError` for none.
+        Empty patches are left out. Both sides of a sheet stay together: only the choice of fronts counts. Raises
+        :class:`PatchError` for none.
         """
-        kept = np.flatnonzero(np.asarray(chosen, dtype=bool)[: self._fronts])
+        kept = np.flatnonzero((np.asarray(chosen, dtype=bool) & ~self.empty)[: self._fronts])
         faces = np.isin(self.front, kept)
         if not faces.any():
             raise PatchError("no patch is chosen")
@@ -289,9 +331,9 @@ class Patches(InNotebooks):
             ids=self.front[faces],
             two_sided=backs >= 0,
             sky=self.sky,
+            numbers=self.numbers[faces],
         )
-        result.labels = self.labels[numbers]
-        result.shapes, result.shape_names = None if self.shapes is None else self.shapes[numbers], self.shape_names
+        result._name_as(self, numbers)
         return result, numbers
 
     def with_properties(
@@ -337,15 +379,15 @@ def _faces_with_area(vertices: Array, faces: Index, rows: Index) -> tuple[Array,
     if is_flat_point.any():
         first = int(rows[np.argmax(is_flat_point)])
         raise PatchError(
-            f"{np.count_nonzero(is_flat_point)} of {len(faces)} faces have no area, the first is face {first}; remove "
-            "them (read_patches and scene_patches do)"
+            f"{np.count_nonzero(is_flat_point)} of {len(faces)} faces have no area, the first is face {first}; name "
+            "them as left_out (read_patches and scene_patches do)"
         )
     length = np.linalg.norm(vectors, axis=1)
     return length / 2, vectors / length[:, None]
 
 
-def _whole(ids: ArrayLike, count: int) -> Index:
-    labels = np.asarray(ids)
-    if labels.shape != (count,) or labels.dtype.kind not in "iu":
-        raise PatchError(f"ids are whole numbers, one for each of {count} faces, not {labels.dtype} {labels.shape}")
-    return labels.astype(np.int64)
+def _whole(name: str, given: ArrayLike, count: int) -> Index:
+    values = np.asarray(given)
+    if values.shape != (count,) or values.dtype.kind not in "iu":
+        raise PatchError(f"{name} are whole numbers, one for each of {count} faces, not {values.dtype} {values.shape}")
+    return values.astype(np.int64)

@@ -153,7 +153,7 @@ def _solved(result: Any) -> str:
 
 
 def _factors(factors: Any, more: Mapping[str, Any] | None = None) -> str:
-    sums = factors.row_sums()
+    sums = factors.row_sums()[factors.areas > 0]
     facts = {
         **(more or {}),
         "patches": len(factors),

@@ -163,7 +163,7 @@ def _check(patches: Patches, scene: SubScene) -> None:
     counts = np.zeros(len(patches), np.int64)
     for part in scene.all():
         counts += np.bincount(part.patches, minlength=len(patches))
-    wrong = np.flatnonzero(counts != 1)
+    wrong = np.flatnonzero((counts != 1) & ~patches.empty)
     if len(wrong):
         first = wrong[0]
         where = "none" if counts[first] == 0 else "several"

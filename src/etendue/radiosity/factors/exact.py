@@ -12,7 +12,7 @@ from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 
 from ..errors import RadiosityError
 from ..parallel import compiled, in_order, threads
-from .formfactors import FormFactors
+from .formfactors import FormFactors, numbers_of
 
 Index = NDArray[np.int64]
 
@@ -67,13 +67,14 @@ def exact_form_factors(patches: Patches) -> FormFactors:
                 "surfaces that hide nothing from each other: cast lines (ABuffer, or without --exact)"
             )
     exchange *= radius**2
-    dark = exchange[:n, n] / patches.areas
-    matrix = sparse().csr_array((exchange + exchange.T)[:n, :n] / patches.areas[:, None])
+    dark = exchange[:n, n] / patches.divisors
+    matrix = sparse().csr_array((exchange + exchange.T)[:n, :n] / patches.divisors[:, None])
     errors = matrix.copy()
     errors.data = np.zeros_like(errors.data)
     sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
-    sky[sky < _CLOSED] = 0.0
-    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64), dark)
+    sky[(sky < _CLOSED) | patches.empty] = 0.0
+    numbers = numbers_of(patches)
+    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64), dark, **numbers)
 
 
 def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:

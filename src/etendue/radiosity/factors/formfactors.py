@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, InNotebooks, free_memory, sparse
+from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from ..lines.segments import Segments
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Estimators of form factors from counts, see :func:`estimate`.
 Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal", "pooled"]
+#: Arrays of form factors, and of files, that say what their rows are.
+NUMBERS = ("face", "label", "name")
 ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal", "pooled")
 
 
@@ -31,6 +34,8 @@ class FormFactors(InNotebooks):
     structure.
     ``sky``: (n,) the share that leaves the scene. ``areas``: (n,). ``lines``: (n,) lines or rays behind each row.
     ``dark``: (n,) the share that ends on backs of faces, by default none.
+    ``face``, ``label``, ``name``: (n,) the first face of each patch, its label and the name of its shape, see
+    :class:`Patches`; ``None`` if they are not known.
     """
 
     matrix: scipy.sparse.csr_array
@@ -44,8 +49,17 @@ class FormFactors(InNotebooks):
         if self.dark is None:
             object.__setattr__(self, "dark", np.zeros(len(self.areas)))
 
+    face: NDArray[np.int64] | None = None
+    label: NDArray[np.int64] | None = None
+    name: NDArray[np.str_] | None = None
+
     def __len__(self) -> int:
         return len(self.areas)
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """``face``, ``label`` and ``name``."""
+        return {name: getattr(self, name) for name in NUMBERS}
 
     def gather(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
         """F values: the mean over what each patch sees, (n,) or (n, c); ``sky`` is the value of the sky."""
@@ -83,8 +97,9 @@ class FormFactors(InNotebooks):
         the smallest change.
 
         The mean of ``A_i F_ij`` and ``A_j F_ji``, the shares of the sky and of backs are changed with the smallest
-        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both directions. Raises
-        :class:`RadiosityError` if a factor would become negative, which means that there are too few lines.
+        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both
+        directions. Raises :class:`RadiosityError` if a factor would become negative, which means that there are too few
+        lines.
         """
         from scipy.sparse.linalg import lsmr
 
@@ -92,8 +107,8 @@ class FormFactors(InNotebooks):
         exchange = ((exchange + exchange.T) / 2).tocsr()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
         ends = self.areas * (self.sky + self.dark)
-        # The smallest changes have the form S_ij (x_i + x_j) of pairs, and S_i x_i of the sky and of backs, which belong
-        # to one row. Row sums then require (diag(all sums) + S) x = missing.
+        # The smallest changes have the form S_ij (x_i + x_j) of pairs, and S_i x_i of the sky and of backs, which
+        # belong to one row. Row sums then require (diag(all sums) + S) x = missing.
         missing, system = self.areas - sums - ends, _diagonal(sums + ends) + exchange
         x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]
         changed = exchange.tocoo()
@@ -111,8 +126,8 @@ class FormFactors(InNotebooks):
     def transposed(self) -> FormFactors:
         """Form factors of the opposite direction: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system
         with these factors are the powers per area that solve the system of powers (shooting) with F."""
-        areas = _diagonal(self.areas)
-        shot, errors = ((_diagonal(1 / self.areas) @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
+        areas, inverse = _diagonal(self.areas), _diagonal(_inverse(self.areas))
+        shot, errors = ((inverse @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
         return replace(self, matrix=shot, errors=errors)
 
     @property
@@ -167,7 +182,8 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
         found = found * (1 + segments.extra[row] + segments.extra[column])
     errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / found)
     sky, dark = shares(segments, lines)
-    return FormFactors(matrix, errors, sky, segments.patches.areas, segments.counted, dark)
+    patches = segments.patches
+    return FormFactors(matrix, errors, sky, patches.areas, segments.counted, dark, **numbers_of(patches))
 
 
 def shares(segments: Any, lines: Array) -> tuple[Array, Array]:
@@ -177,6 +193,11 @@ def shares(segments: Any, lines: Array) -> tuple[Array, Array]:
         for ends in (segments.to_sky, segments.to_dark)
     )
     return sky, dark
+
+
+def numbers_of(patches: Patches) -> dict[str, Any]:
+    """``face``, ``label`` and ``name`` of form factors."""
+    return dict(zip(NUMBERS, (patches.face, patches.labels, patches.names), strict=True))
 
 
 def estimate(
@@ -195,17 +216,17 @@ def estimate(
     ==============  =========================================  =====================================================
     """
     check_estimator(estimator)
-    per_line = np.divide(1.0, lines, out=np.zeros(len(lines)), where=np.asarray(lines) > 0)
+    per_line = _inverse(lines)
     own = _diagonal(per_line) @ counts
     if estimator in ("F1", "reciprocal"):
         return own.tocsr()
     if estimator == "pooled":
         result = counts.tocoo()
-        density = lines / areas
+        density = lines * _inverse(areas)
         result.data = 2 * result.data / (areas[result.row] * (density[result.row] + density[result.col]))
         return result.tocsr()
     transposed = counts.T.tocsr()
-    other = _diagonal(1 / areas) @ transposed @ _diagonal(areas * per_line)
+    other = _diagonal(_inverse(areas)) @ transposed @ _diagonal(areas * per_line)
     if estimator == "F2":
         return other.tocsr()
     if estimator == "F3":
@@ -237,6 +258,11 @@ def _entries(matrix: scipy.sparse.csr_array, rows: NDArray[Any], columns: NDArra
     order = np.argsort(keys)
     found = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
     return np.where(keys[found] == wanted, own.data[found], 0.0)
+
+
+def _inverse(values: Array) -> Array:
+    """Inverse values, zero for zeros."""
+    return np.divide(1.0, values, out=np.zeros(len(values)), where=np.asarray(values) > 0)
 
 
 def _diagonal(values: Array) -> scipy.sparse.dia_array:

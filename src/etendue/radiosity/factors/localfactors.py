@@ -14,7 +14,7 @@ from etendue.points import OwenSobol, PointSet
 from etendue.surfaces import BATCH, STEP, RayScene, RaySource, Sides, cosine_lanes, even_lanes
 
 from ..errors import RadiosityError
-from .formfactors import FormFactors
+from .formfactors import FormFactors, numbers_of
 
 Index = NDArray[np.int64]
 
@@ -46,6 +46,7 @@ def local_form_factors(
         raise RadiosityError(f"rows are numbers of patches from 0 to {n - 1}")
     if samples < 2:
         raise RadiosityError(f"a form factor with its error needs at least two rays, not {samples}")
+    chosen = chosen[~scene.patches.empty[chosen]]
     points, source = points or OwenSobol(4), RaySource(scene, Sides.of(scene.patches))
     sums, squares = sparse().csr_array((n, n + 2)), sparse().csr_array((n, n + 2))
     at_once = max(BATCH // samples, 1)
@@ -69,7 +70,8 @@ def local_form_factors(
     lines = np.zeros(n, np.int64)
     lines[chosen] = samples
     sky, dark = np.asarray(mean[:, [n, n + 1]].todense()).T
-    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines, dark)
+    numbers = numbers_of(scene.patches)
+    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines, dark, **numbers)
 
 
 def area_form_factors(

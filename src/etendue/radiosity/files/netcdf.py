@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from etendue.formats import NetcdfFile, read_netcdf
 from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
-from ..factors.formfactors import FormFactors
+from ..factors.formfactors import NUMBERS, FormFactors, numbers_of
 from ..lines.segments import Segments
 from ..solvers.system import Solution
 
@@ -41,6 +41,9 @@ def write_form_factors(
     file.add("dark_share", "patch", factors.dark, "share of the light of a patch that ends on backs of faces", _SHARE)
     file.add("lines", "patch", factors.lines, "lines that met the patch", _SHARE)
     file.add("emissivity", "patch", emissivity, "emissivity of the patch", _SHARE)
+    _add_numbers(file, factors.numbers)
+    if factors.name is not None and factors.name.any():
+        _add_texts(file, "name", "patch name_letter", factors.name, "name of the shape that the patch is of")
     file.write(path)
 
 
@@ -52,8 +55,11 @@ def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     matrix, errors = (
         sparse().csr_array((saved[name], *structure), shape=(n, n)) for name in ("form_factor", "form_factor_error")
     )
-    dark = saved.get("dark_share", np.zeros(n))
-    return FormFactors(matrix, errors, saved["sky_share"], saved["area"], saved["lines"].astype(np.int64), dark)
+    numbers = {name: saved[name] for name in NUMBERS if name in saved}
+    if numbers:
+        numbers["name"] = _texts(saved["name"]) if "name" in saved else np.full(n, "")
+    dark, lines = saved.get("dark_share", np.zeros(n)), saved["lines"].astype(np.int64)
+    return FormFactors(matrix, errors, saved["sky_share"], saved["area"], lines, dark, **numbers)
 
 
 def save_segments(
@@ -115,7 +121,8 @@ def write_solution(
         dimensions = "patch" if values.ndim == 1 else "patch channel"
         file.add(name, dimensions, values, long_name, units, coordinates="centre_x centre_y centre_z")
     file.add("area", "patch", patches.areas, "area of the patch", _AREA)
-    file.add("label", "patch", patches.labels, "number of the patch, or of its face, where it was made")
+    _add_numbers(file, numbers_of(patches))
+    file.add("other_side", "patch", patches.other_side, "patch on the other side of a sheet; -1 for none")
     for axis, letter in enumerate("xyz"):
         file.add(f"centre_{letter}", "patch", patches.centres[:, axis], f"{letter} of the centre of the patch", _METRES)
         file.add(f"normal_{letter}", "patch", patches.normals[:, axis], f"{letter} of the normal of the patch", _SHARE)
@@ -127,9 +134,7 @@ def write_solution(
     if patches.shapes is not None:
         file.add("shape", "patch", patches.shapes, "shape of the scene that the patch is of; -1 for none")
     if patches.shape_names:
-        names = np.array([name.encode() for name in patches.shape_names])
-        letters = names.view("S1").reshape(len(names), -1)
-        file.add("shape_name", "shapes letter", letters, "name of the shape", _Encoding="utf-8")
+        _add_texts(file, "shape_name", "shapes letter", patches.shape_names, "name of the shape")
     file.add("sky", "channel", patches.sky, "light that comes from where no face is", _PER_AREA)
     file.add("residual", "iteration", np.array(solution.residuals), "residual of the solution", _SHARE)
     file.write(path)
@@ -147,11 +152,27 @@ def read_netcdf_solution(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]
     }
     found = {names.get(name, name): values for name, values in saved.items()}
     if "shapes" in found:
-        letters = found.get("shape_name", np.zeros((0, 1), "S1"))
-        found["shape_names"] = np.array([b"".join(row).decode() for row in letters], dtype=str)
+        found["shape_names"] = _texts(found.get("shape_name", np.zeros((0, 1), "S1")))
     found["residuals"] = found["residual"]
     found["vertices"] = np.stack([found[f"vertex_{letter}"] for letter in "xyz"], axis=1)
     return found
+
+
+def _add_numbers(file: NetcdfFile, numbers: Mapping[str, Any]) -> None:
+    """Add ``face`` and ``label``, if they are known."""
+    if (face := numbers["face"]) is not None:
+        file.add("face", "patch", face, "number of the first face of the patch in its mesh, counted from 0")
+    if (label := numbers["label"]) is not None:
+        file.add("label", "patch", label, "number of the patch, or of its face, where it was made")
+
+
+def _add_texts(file: NetcdfFile, name: str, dimensions: str, texts: Iterable[str], about: str) -> None:
+    encoded = np.array([text.encode() for text in texts])
+    file.add(name, dimensions, encoded.view("S1").reshape(len(encoded), -1), about, _Encoding="utf-8")
+
+
+def _texts(letters: NDArray[Any]) -> NDArray[np.str_]:
+    return np.array([b"".join(row).decode() for row in letters], dtype=str)
 
 
 _MEANINGS = {

@@ -11,7 +11,7 @@ from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import sparse
 from etendue.film import replacing
@@ -19,7 +19,7 @@ from etendue.formats import far_centre, netcdf_library, save_arrays, view3d_line
 from etendue.surfaces import face_sides, vertex_radiosity
 
 from ..errors import RadiosityError
-from ..factors.formfactors import FormFactors
+from ..factors.formfactors import NUMBERS, FormFactors, numbers_of
 from ..solvers.system import Solution
 from .colours import coloured_mesh
 from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors, write_solution
@@ -74,11 +74,13 @@ def save_form_factors(
     """Write form factors by the suffix of ``path``.
 
     ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
-        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity`` and ``metadata`` (JSON).
+        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity``, if known ``face``, ``label`` and
+        ``name`` of each row, and ``metadata`` (JSON).
     ``.vf``: the text format of View3D 3.2: a heading, areas, the full matrix row by row, emissivities. It does not
-        contain the sky; rows of an open scene sum to less than 1.
+        contain the sky; rows of an open scene sum to less than 1. There is no place for numbers and names, but rows of
+        empty patches are written, so that the rows are those of the faces.
     ``.nc``: netCDF with the content of ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
-        ``area``, ``sky_share``, ``lines``, ``emissivity``.
+        ``area``, ``sky_share``, ``lines``, ``emissivity``, ``face``, ``label``, ``name``.
 
     emissivity: a number or (n,), written unchanged. metadata: values for JSON. Raises :class:`RadiosityError` for
     another suffix, :class:`etendue.core.OutputError` if the file cannot be written.
@@ -113,6 +115,7 @@ def save_form_factors(
             "dark": factors.dark,
             "lines": factors.lines,
             "emissivity": emitted,
+            **{name: values for name, values in factors.numbers.items() if values is not None},
         },
         metadata,
     )
@@ -127,8 +130,9 @@ def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
         with np.load(path, allow_pickle=False) as saved:
             structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
             matrix, errors = (sparse().csr_array((saved[name], *structure), shape=shape) for name in ("data", "errors"))
+            numbers = {name: saved[name] for name in NUMBERS if name in saved}
             dark = saved["dark"] if "dark" in saved else np.zeros(len(matrix.indptr) - 1)
-            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"], dark)
+            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"], dark, **numbers)
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of form factors '{path}'") from None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
@@ -145,10 +149,11 @@ def save_solution(
 ) -> None:
     """Write a solution by the suffix of ``path``.
 
-    ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, the mesh, names of shapes,
-        and ``metadata``.
+    ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, with ``face``, ``label`` and
+        ``name``, the mesh, names of shapes, and ``metadata``.
     ``.vtu``: for ParaView: every face with ``radiosity``, ``irradiance``, ``net_flux`` (radiosity minus irradiance),
-        ``emission``, ``reflectance``, ``sky_share`` and ``patch``. A back that belongs to a patch is a face of its own.
+        ``emission``, ``reflectance``, ``sky_share``, ``patch``, ``face`` and ``label``. A back that belongs to a patch
+        is a face of its own.
     ``.ply``: vertices with ``red``, ``green``, ``blue``: radiosity, linear floats, smoothed over edges of at most
         ``angle`` degrees (:func:`vertex_radiosity`); for one or three channels.
     ``.nc``: netCDF with arrays by patch as in ``.npz``, and the mesh, with units.
@@ -176,7 +181,7 @@ def save_solution(
         vertices = smooth.vertices.astype(np.float32 if far_centre(smooth.vertices) is None else np.float64)
         write_mesh(path, "ply", vertices, smooth.faces, data, {})
         return
-    by_patch = {
+    by_patch: dict[str, NDArray[Any]] = {
         "radiosity": solution.radiosity,
         "irradiance": solution.irradiance,
         "net_flux": solution.radiosity - solution.irradiance,
@@ -194,11 +199,13 @@ def save_solution(
         return
     if suffix == ".vtu":
         corners, patch = face_sides(patches)
-        cells = {name: values[patch] for name, values in by_patch.items()} | {"patch": patch}
+        numbers = {"patch": np.arange(len(patches)), "face": patches.face, "label": patches.labels}
+        cells = {name: values[patch] for name, values in (by_patch | numbers).items()}
         write_mesh(path, "vtu", patches.vertices, corners, {}, cells)
         return
-    geometry = ("areas", "normals", "centres", "labels", "vertices", "faces", "front", "back", "sky")
+    geometry = ("areas", "normals", "centres", "labels", "vertices", "faces", "front", "back", "other_side", "sky")
     rest = {name: getattr(patches, name) for name in geometry}
     if patches.shapes is not None:
         rest |= {"shapes": patches.shapes, "shape_names": np.array(patches.shape_names, dtype=str)}
+    rest |= numbers_of(patches)
     save_arrays(path, by_patch | rest | {"residuals": np.array(solution.residuals)}, metadata)

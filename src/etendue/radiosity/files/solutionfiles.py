@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array
-from etendue.surfaces import Patches
+from etendue.formats import netcdf_metadata
+from etendue.surfaces import saved_patches
 
 from ..errors import RadiosityError
 from ..solvers.system import Solution
@@ -22,7 +24,7 @@ _NEEDED = (
     *("vertices", "faces", "front", "back", "labels", "reflectance", "emission", "sky"),
     *("radiosity", "irradiance", "sky_share", "residuals"),
 )
-_OPTIONAL = ("irradiance_error", "shapes", "shape_names")
+_OPTIONAL = ("irradiance_error", "shapes", "shape_names", "face", "other_side")
 
 
 def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]:
@@ -31,18 +33,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
     :class:`FormatError` for a damaged netCDF file."""
     try:
         saved = read_netcdf_solution(path) if Path(path).suffix.lower() == ".nc" else _read_arrays(path)
-        front, back = saved["front"].astype(np.int64), saved["back"]
-        two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
-        two_sided[front[back >= 0]] = True
-        patches = Patches(
-            saved["vertices"],
-            saved["faces"].astype(np.int64),
-            reflectance=saved["reflectance"],
-            emission=saved["emission"],
-            ids=front,
-            two_sided=two_sided,
-            sky=saved["sky"],
-        )
+        patches = saved_patches(saved, **{name: saved[name] for name in ("reflectance", "emission", "sky")})
         patches.labels = saved["labels"].astype(np.int64)
         if "shapes" in saved:
             patches.shapes, patches.shape_names = saved["shapes"], tuple(map(str, saved["shape_names"]))
@@ -53,6 +44,18 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
     except (KeyError, ValueError, IndexError) as error:
         raise _foreign(path) from error
     return solution, saved.get("irradiance_error")
+
+
+def solution_metadata(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The ``metadata`` of a file of :func:`save_solution`, ``.npz`` or ``.nc``; empty if it has none. Raises the errors
+    of :func:`read_solution`."""
+    if Path(path).suffix.lower() == ".nc":
+        return netcdf_metadata(path)
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            return dict(json.loads(str(saved["metadata"]))) if "metadata" in saved else {}
+    except (OSError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise _foreign(path) from error
 
 
 def _read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:

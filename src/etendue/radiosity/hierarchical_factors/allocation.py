@@ -36,11 +36,11 @@ def least_error_shares(tree: SphereTree) -> Array:
     the sum over i is convex in the shares. Each step multiplies a share by the root of the decrease of this sum per
     additional line in the sphere; such a step never increases the sum [Silvey 1978].
     """
-    areas = tree.objects.patches.areas
+    patches = tree.objects.patches
     shares = area_shares(tree)
     for _ in range(_STEPS):
         density = tree.of_patches(tree.densities(shares))
-        gain = tree.summed(1 / (areas * density**2)) / tree.surfaces
+        gain = tree.summed(~patches.empty / (patches.divisors * density**2)) / tree.surfaces
         shares = shares * np.sqrt(gain)
         shares /= shares.sum()
     return shares

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, free_memory, sparse
 
 from ..errors import RadiosityError
-from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate, shares
+from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate, numbers_of, shares
 from ..lines.segments import Pairs
 from .tree import SphereTree
 
@@ -73,8 +73,8 @@ class PartialSegments:
 
     @property
     def unseen(self) -> Index:
-        """Patches without any line, whose form factors are unknown."""
-        return np.flatnonzero(self.counted == 0)
+        """Patches without any line, whose form factors are unknown; empty patches are none of them."""
+        return np.flatnonzero((self.counted == 0) & (self.expected > 0))
 
     def gather(self, values: ArrayLike) -> Array:
         """Mean of ``values`` (n, c) over the surfaces that each patch sees, zero for the sky: F values, with F1."""
@@ -143,7 +143,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
     check_estimator(estimator)
     patches, tree = segments.patches, segments.tree
     found, both = segments.counts()
-    n, lines = len(patches), segments.counted.astype(np.float64)
+    lines = segments.counted.astype(np.float64)
     if estimator in ("reciprocal", "pooled"):
         matrix = (found + found.T - both).tocoo()
         i, j = matrix.coords
@@ -153,7 +153,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
         if estimator == "reciprocal":
             lines = segments.expected
         else:
-            counted = lines / patches.areas
+            counted = lines / patches.divisors
             both_ways = counted[i] + counted[j]
             different *= both_ways / (density[i] + density[j])
             relative += _spread_of_lines(i, j, found, both, lines, patches.areas, matrix.data)
@@ -167,7 +167,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
     for entries in (matrix, errors):
         entries.sort_indices()
     sky, dark = shares(segments, lines)
-    return FormFactors(matrix, errors, sky, patches.areas, segments.counted, dark)
+    return FormFactors(matrix, errors, sky, patches.areas, segments.counted, dark, **numbers_of(patches))
 
 
 def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, estimator: Estimator) -> Any:

@@ -38,6 +38,7 @@ class Part:
 
     patches: in coordinates of the part; ``None`` for a part that has copies only.
     copies: pairs of a part and the transforms (k, 4, 4) or (4, 4) of its copies.
+        Empty patches are left out.
     numbers: (n,) indices of the patches in the mesh that the parts were made of, by default their own indices.
     objects: number of objects of the part, by which lines are distributed over parts.
 
@@ -57,11 +58,15 @@ class Part:
         numbers: ArrayLike | None = None,
         objects: int = 1,
     ) -> None:
+        given = np.arange(0 if patches is None else len(patches)) if numbers is None else numbers
+        self.numbers: Index = np.asarray(given, dtype=np.int64)
+        if patches is not None and patches.empty.any():
+            patches, kept = patches.only(~patches.empty)
+            self.numbers = self.numbers[kept]
         self.patches = patches
         self.copies = tuple(Copies(part, _similarities(transforms)) for part, transforms in copies)
         if patches is None and not self.copies:
             raise RadiosityError("a part needs patches, or copies of other parts")
-        self.numbers: Index = np.arange(len(self)) if numbers is None else np.asarray(numbers, dtype=np.int64)
         self.objects = objects
         channels = {part.channels for part in (copy.part for copy in self.copies)}
         channels |= set() if patches is None else {patches.channels}

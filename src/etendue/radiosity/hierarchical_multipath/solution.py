@@ -61,12 +61,13 @@ class HierarchicalSolution:
         numbers = np.concatenate([part.numbers for part in parts])
         if joined or len(np.unique(numbers)) < len(numbers):
             numbers = self.tree.numbers_in_joined
-        if len(numbers) != len(patches):
-            raise RadiosityError(f"the scene of parts has {len(numbers)} patches, not {len(patches)}")
-        areas = patches.areas[:, None]
+        count = np.count_nonzero(~patches.empty)
+        if len(numbers) != count:
+            raise RadiosityError(f"the scene of parts has {len(numbers)} patches, not {count}")
+        areas = patches.divisors[:, None]
 
         def placed(rows: Array) -> Array:
-            result = np.empty_like(rows)
+            result = np.zeros((len(patches), rows.shape[1]))
             result[numbers] = rows
             return result / areas
 

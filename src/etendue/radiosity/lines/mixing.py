@@ -101,10 +101,10 @@ def with_local_rays(
 def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, NDArray[np.int64]]:
     """Number of rays per patch that :func:`with_local_rays` casts, and the patches that send them."""
     rays = least
-    while rays and rays * np.count_nonzero(expected < rays) > _SHARE * segments:
+    while rays and rays * np.count_nonzero((expected > 0) & (expected < rays)) > _SHARE * segments:
         rays //= 2
     rays = max(rays, 2) if rays else 0
-    return rays, np.flatnonzero(expected < rays)
+    return rays, np.flatnonzero((expected > 0) & (expected < rays))
 
 
 def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:

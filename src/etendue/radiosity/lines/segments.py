@@ -87,8 +87,8 @@ class Segments:
 
     @property
     def unseen(self) -> NDArray[np.int64]:
-        """Patches without any line, whose values are unknown."""
-        return np.flatnonzero(self.counted == 0)
+        """Patches without any line, whose values are unknown; empty patches are none of them."""
+        return np.flatnonzero((self.counted == 0) & (self.expected > 0))
 
     @property
     def sky(self) -> Array:

@@ -77,7 +77,7 @@ class LineExchange:
         self._reflectance, self._per_line = np.zeros((2, *self.shape))
         expected = engine.expected(count)
         self._reflectance[:-2] = patches.reflectance
-        self._per_line[:-2] = own / expected[:, None]
+        self._per_line[:-2] = own / np.where(patches.empty, 1, expected)[:, None]
         self._per_line[-2] = _sky_per_line(patches, expected)
 
     def along(self, pairs: Pairs, unshot: Array, received: Array) -> Array:
@@ -138,7 +138,8 @@ def multipath_bundles(
             f"multipath_bundles takes bundles of parallel lines, such as those of ABuffer; {type(engine).__name__} has "
             "single lines: take multipath()"
         )
-    expected, most = engine.expected(1)[:, None], bundles.most(patches)[:, None]
+    # No line meets an empty patch, which has no power.
+    expected, most = (np.where(patches.empty, 1, x)[:, None] for x in (engine.expected(1), bundles.most(patches)))
     reflected = (patches.areas[:, None] * patches.reflectance).sum(axis=0).max() / patches.areas.sum()
     for_line = np.minimum(_SHARES / (count * (1 - reflected) * expected), 1 / most)
     at_once = np.minimum(1 / (count * expected), 1 / most)
@@ -205,4 +206,4 @@ def _result(patches: Patches, shot: FirstShot | None, sent: Array, unshot: Array
         sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0)
         left = left + shot.reflected
         absorbed, to_sky = absorbed + shot.absorbed, to_sky + shot.to_sky
-    return Multipath(left / patches.areas[:, None], unshot, sent, absorbed, to_sky)
+    return Multipath(left / patches.divisors[:, None], unshot, sent, absorbed, to_sky)

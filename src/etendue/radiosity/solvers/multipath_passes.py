@@ -126,7 +126,7 @@ class MultipathPasses:
         """:meth:`solution` as a :class:`Solution`, for files and pictures. Its only residual is the share of the sent
         power that is still unshot, in the channel where it is largest."""
         found, shot = self.solution(measurement), self.shot
-        irradiance = measurement.mean("received")[:-2] / self.patches.areas[:, None]
+        irradiance = measurement.mean("received")[:-2] / self.patches.divisors[:, None]
         segments, to_sky = measurement.mean("segments"), measurement.mean("to_sky")
         sky_share = np.divide(to_sky, segments, out=np.zeros_like(to_sky), where=segments > 0)
         unshot = np.abs(found.unshot).sum(axis=0)
@@ -138,7 +138,7 @@ class MultipathPasses:
     def irradiance_error(self, measurement: Measurement) -> Array | None:
         """(n, c) standard error of the irradiance of :meth:`solved`, from the variance of the passes and of the first
         shot; ``None`` for a single pass."""
-        passes, areas = len(measurement.iterations), self.patches.areas[:, None]
+        passes, areas = len(measurement.iterations), self.patches.divisors[:, None]
         if passes < 2:
             return None
         squares, mean = measurement.squares["received"][:-2] / passes, measurement.mean("received")[:-2]

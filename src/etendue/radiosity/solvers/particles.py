@@ -115,7 +115,7 @@ def _power(scene: RayScene) -> Array:
 
 def _result(scene: RayScene, received: Array, unshot: Array, rays: int) -> Particles:
     patches = scene.patches
-    radiosity = patches.emission + patches.reflectance * received[:-2] / patches.areas[:, None]
+    radiosity = patches.emission + patches.reflectance * received[:-2] / patches.divisors[:, None]
     # Arriving power that is not reflected; the reflected power of the last bounce is unshot.
     absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
     return Particles(radiosity, absorbed, received[-2], unshot, rays)

@@ -298,4 +298,5 @@ def _shot(patches: Patches, emission: Array, mean: Array, error: Array, rays: in
     outside = np.divide(sent - received, leaving, out=np.ones_like(sent), where=leaves)
     inside = np.divide(sent - outside * leaving, received, out=np.zeros_like(sent), where=received > 0)
     arrived, away = mean[:-2] * np.maximum(inside, 0), mean[-2:] * outside
-    return FirstShot(patches, emission, arrived / areas, error[:-2] / areas, away[0], away[1], rays)
+    whole = patches.divisors[:, None]
+    return FirstShot(patches, emission, arrived / whole, error[:-2] / whole, away[0], away[1], rays)

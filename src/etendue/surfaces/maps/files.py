@@ -18,12 +18,12 @@ from etendue.scene import Problem, RenderSpace
 from ..errors import SurfaceError
 from ..patches import Patches
 from ..places import PatchSurfaces
+from ..savedpatches import saved_patches
 from .cells import PatchMap
 from .nearest import NearestMap
 from .places import MapSurfaces, on_surfaces
 
-#: Arrays of a map of patches, with the names that a radiosity solution has for them.
-_PATCHES = ("vertices", "faces", "front", "back", "irradiance")
+#: Arrays of a map of particles.
 _NEAREST = ("position", "direction", "power", "path", "k", "kernel", "correct")
 #: Number of patches whose centres are searched on the surfaces of the scene, and least share that must be found.
 _TRIED, _THERE = 1000, 0.9
@@ -97,14 +97,11 @@ def read_map(path: str | os.PathLike[str], problem: Problem) -> PatchMap | Neare
             raise _foreign(path)
         return NearestMap(MapSurfaces(problem), rows, k, kernel, correct, problem.memory)
     try:
-        vertices, faces, front, back, irradiance = (saved[name] for name in _PATCHES)
-        two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
-        two_sided[front[back >= 0]] = True
-        patches = Patches(vertices, faces.astype(np.int64), ids=front.astype(np.int64), two_sided=two_sided)
+        patches, irradiance = saved_patches(saved), saved["irradiance"]
         smooth, kind = (saved[name].item() if name in saved else other for name, other in _OTHERWISE.items())
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise _foreign(path) from error
-    check_place(patches, problem, str(path))
+    check_place(patches, problem, f"'{path}' is a map")
     surfaces = PatchSurfaces(patches)
     errors = saved.get("irradiance_error")
     return PatchMap(surfaces, irradiance, errors, smooth=smooth, kind=kind, space=problem.space)
@@ -114,15 +111,16 @@ def read_map(path: str | os.PathLike[str], problem: Problem) -> PatchMap | Neare
 _OTHERWISE: dict[str, Any] = {"smooth": True, "kind": "radiosity"}
 
 
-def check_place(patches: Patches, problem: Problem, name: str) -> None:
-    """Raise :class:`SurfaceError` if the patches are not on the surfaces of a scene."""
-    chosen = np.arange(len(patches))[:: -(-len(patches) // _TRIED)]
+def check_place(patches: Patches, problem: Problem, what: str) -> None:
+    """Raise :class:`SurfaceError` if the patches are not on the surfaces of a scene; ``what`` is "the solution is"."""
+    real = np.flatnonzero(~patches.empty)
+    chosen = real[:: -(-len(real) // _TRIED)]
     centres, normals = patches.centres[chosen], patches.normals[chosen]
     # Flat patches of a curved surface lie inside it, by up to a hundredth of the radius of the scene.
     found = on_surfaces(problem.scene, problem.space, centres, -normals, reach=1e-2 * patches.sphere[1])
     if np.count_nonzero(found.hit) < _THERE * len(chosen):
         raise SurfaceError(
-            f"'{name}' is a map of another scene: {np.count_nonzero(~found.hit)} of {len(chosen)} of its patches are "
+            f"{what} of another scene: {np.count_nonzero(~found.hit)} of {len(chosen)} of its patches are "
             "not on a surface of this one"
         )
 

@@ -16,7 +16,7 @@ from etendue.scene import RenderSpace, graph
 from ..errors import SurfaceError
 from ..patches import Patches
 from ..places import PatchSurfaces
-from ..readers.meshfiles import sound_faces
+from ..readers.meshfiles import broken_faces
 from ..readers.scenepatches import loaded_scene
 from ..readers.tessellation import tessellate
 from .protocol import SurfaceParticles, normals_on_device, points_on_device
@@ -180,7 +180,7 @@ def map_patches(scene: mi.Scene, space: RenderSpace) -> Patches:
         if not mi.has_flag(flags, mi.BSDFFlags.Smooth):
             continue
         points, corners, _ = tessellate(shape, _SEGMENTS)
-        points, corners, _ = sound_faces(points, corners, graph.describe(shape, "shape"))
+        corners = np.delete(corners, broken_faces(points, corners, graph.describe(shape, "shape"), ""), axis=0)
         vertices.append(points)
         faces.append(corners + offset)
         shapes.append(np.full(len(corners), number))

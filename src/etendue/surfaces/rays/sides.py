@@ -48,7 +48,7 @@ class Sides:
     def emitting(self, power: Array) -> Sides:
         """The sides of patches with ``power`` (n,) above 0; their ``edges`` are cumulated powers."""
         whole = np.bincount(self.patch, self.areas, len(power))
-        by_side = (power / whole)[self.patch] * self.areas
+        by_side = power[self.patch] / whole[self.patch] * self.areas
         lit = np.flatnonzero(by_side)
         edges = np.concatenate([[0.0], np.cumsum(by_side[lit])])
         return Sides(self.corners[lit], self.normals[lit], self.patch[lit], self.face[lit], edges)

@@ -67,8 +67,9 @@ class RaySource:
         return self._places(u * self._whole, v, mi.UInt32(0), self._count, len(self.sides.patch))
 
     def of(self, patch: mi.UInt32, u: mi.Float64, v: mi.Float64) -> Places:
-        """Places on given patches, which must have sides."""
+        """Places on given patches. For an empty patch they are anywhere."""
         first, end = dr.gather(mi.UInt32, self._starts, patch), dr.gather(mi.UInt32, self._starts, patch + 1)
+        first = dr.minimum(first, self._count - 1)  # of an empty patch behind the last side
         low, high = dr.gather(mi.Float64, self._edges, first), dr.gather(mi.Float64, self._edges, end)
         return self._places(low + u * (high - low), v, first, end, self._most)
 

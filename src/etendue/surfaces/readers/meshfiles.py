@@ -21,6 +21,8 @@ Index = NDArray[np.int64]
 
 #: Supported cell types.
 _FACES = ("triangle", "quad")
+#: Number of broken faces that a warning names.
+_NAMED = 20
 #: Suffixes that trimesh reads and meshio does not.
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 
@@ -47,8 +49,9 @@ def read_patches(
         the ``shapes`` of the patches, for :func:`find_objects`.
 
     Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
-    a warning. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of faces, or
-    without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not installed.
+    a warning; their patches keep their rows, see ``left_out`` of :class:`Patches`. Raises :class:`PatchError` for a
+    file that cannot be read, without faces, with other types of faces, or without the named array, and
+    :class:`etendue.core.BackendError` if the library that reads it is not installed.
     """
     path = Path(path)
     if not path.is_file():
@@ -59,8 +62,7 @@ def read_patches(
     vertices, faces, cells = read(path)
     if len(faces) == 0:
         raise PatchError(f"{path} has no triangles or quadrilaterals")
-    vertices, faces, kept = sound_faces(vertices, faces, str(path))
-    cells = {name: values[kept] for name, values in cells.items()}
+    left_out = broken_faces(vertices, faces, str(path))
 
     labels = _cell_array(path, cells, ids, whole=True)
     rho = (
@@ -72,13 +74,15 @@ def read_patches(
     if labels is not None:
         groups, inverse = np.unique(labels, return_inverse=True)
         areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
+        areas[left_out] = 0.0
         if isinstance(reflectance, str):
             rho = _means(rho, inverse, areas, len(groups))
         if isinstance(emission, str):
             exitance = _means(exitance, inverse, areas, len(groups))
         if isinstance(temperature, str):
             kelvin = _means(kelvin, inverse, areas, len(groups))
-    patches = Patches(vertices, faces, reflectance=rho, emission=exitance, ids=labels, two_sided=two_sided, sky=sky)
+    rest: Any = {"ids": labels, "two_sided": two_sided, "sky": sky, "left_out": left_out}
+    patches = Patches(vertices, faces, reflectance=rho, emission=exitance, **rest)
     if objects is not None:
         numbers = _cell_array(path, cells, objects, whole=True)
         _set_shapes(patches, np.arange(len(faces)) if labels is None else labels, numbers, f"{path}, array '{objects}'")
@@ -116,11 +120,10 @@ def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
     return thermal(patches, kelvin, 1 - patches.reflectance).with_properties(sky=sky)
 
 
-def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index, Index]:
-    """Vertices, faces (m, 4) without degenerate ones and duplicates, and the indices of the remaining faces.
+def broken_faces(vertices: Array, faces: Index, where: str, then: str = ", and their rows are zero") -> Index:
+    """Indices of degenerate faces (m, 4) and of duplicates, which are named in a warning with what happens ``then``.
 
-    Coincident faces of opposite orientation are both kept. Warns about removed faces; raises :class:`PatchError` if
-    none is left.
+    Coincident faces of opposite orientation are no duplicates. Raises :class:`PatchError` if there are no other faces.
     """
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
@@ -136,16 +139,17 @@ def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index
     empty = np.ones(len(faces), dtype=bool)
     np.logical_and.at(empty, rows, flat)
     kept = np.flatnonzero(~empty)
-    twice = repeated(vertices, faces[kept])
-    kept = np.delete(kept, twice)
-    if len(kept) == 0:
+    twice = kept[repeated(vertices, faces[kept])]
+    if len(twice) == len(kept):
         raise PatchError(f"{where}: none of {len(faces)} faces has an area")
-    if empty.any() or len(twice):
+    left_out = np.sort(np.concatenate([np.flatnonzero(empty), twice]))
+    if len(left_out):
+        named = ", ".join(map(str, left_out[:_NAMED])) + (", ..." if len(left_out) > _NAMED else "")
         logger.warning(
-            "%s: of %d faces %d have no area and %d are duplicates; they are left out",
-            *(where, len(faces), np.count_nonzero(empty), len(twice)),
+            "%s: of %d faces %d have no area and %d are duplicates; they are left out%s: face %s (counted from 0)",
+            *(where, len(faces), np.count_nonzero(empty), len(twice), then, named),
         )
-    return vertices, faces[kept], kept
+    return left_out
 
 
 def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = False) -> Any:
@@ -165,7 +169,10 @@ def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = F
 def _means(values: ArrayLike, group: Index, areas: Array, count: int) -> Array:
     columns = np.asarray(values, dtype=np.float64).reshape(len(group), -1).T
     weight = np.bincount(group, areas, count)
-    return np.stack([np.bincount(group, column * areas, count) / weight for column in columns], axis=1)
+    inverse = np.divide(1.0, weight, out=np.zeros(count), where=weight > 0)
+    kept = areas > 0  # faces that are left out may have any value
+    sums = (np.bincount(group[kept], (column * areas)[kept], count) for column in columns)
+    return np.stack([inverse * of_group for of_group in sums], axis=1)
 
 
 def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:

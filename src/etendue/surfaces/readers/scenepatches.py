@@ -15,7 +15,7 @@ from etendue.scene import Problem, RenderSpace, graph, load, warn_of_steps
 
 from ..errors import PatchError, SurfaceError
 from ..patches import Patches
-from .meshfiles import sound_faces
+from .meshfiles import broken_faces
 from .tessellation import face_means, tessellate
 
 if TYPE_CHECKING:
@@ -30,7 +30,8 @@ def scene_patches(
     """Patches of a scene: an ``mi.Scene``, or another argument or a result of :func:`etendue.scene.load`. Channels are
     red, green, blue.
 
-    Each face of a shape is a patch, with the mean of its textures, or each shape is a patch (``per="shape"``).
+    Each face of a shape is a patch, with the mean of its textures (faces without area and duplicates keep their rows,
+    see ``left_out`` of :class:`Patches`), or each shape is a patch (``per="shape"``).
     Rectangles become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them.
     Reflectance is that of a diffuse material; other reflecting materials are replaced by diffuse ones with the same
     hemispherical albedo, with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a
@@ -85,6 +86,9 @@ def patches_of(shapes: Sequence[Any], segments: int, space: RenderSpace) -> tupl
         reflectance=np.concatenate([reflectance, backs]),
         emission=np.concatenate([emission, np.zeros_like(backs)]),
         two_sided=sheets,
+        left_out=np.concatenate(
+            [part.left_out + first for part, first in zip(parts, np.cumsum([0, *counts]), strict=False)]
+        ),
     )
     return patches, np.repeat(np.arange(len(parts)), counts), is_sheet
 
@@ -110,6 +114,7 @@ class _Part:
     back_reflectance: Array
     emission: Array
     is_sheet: bool
+    left_out: Index
 
 
 def _part(shape: mi.Shape, segments: int) -> _Part:
@@ -138,8 +143,8 @@ def _part(shape: mi.Shape, segments: int) -> _Part:
             )
         at.wi = mi.Vector3f(0, 0, 1)
         emission = np.pi * face_means(shape.emitter().eval(at), len(faces))
-    vertices, faces, kept = sound_faces(points, faces, graph.describe(shape, "shape"))
-    return _Part(vertices, faces, front[kept], back[kept], emission[kept], is_sheet)
+    left_out = broken_faces(points, faces, graph.describe(shape, "shape"))
+    return _Part(points, faces, front, back, emission, is_sheet, left_out)
 
 
 def _albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f) -> mi.Color3f:
@@ -212,4 +217,5 @@ def _joined(patches: Patches, shape: Index, sheets: NDArray[np.bool_]) -> Patche
         ids=shape[patches.labels[patches.front]],
         two_sided=sheets,
         sky=patches.sky,
+        numbers=patches.numbers,
     )
