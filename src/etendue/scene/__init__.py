@@ -14,6 +14,7 @@ from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
+from .placement import in_surface, lamps_in_surfaces, warn_of_lamps
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -47,9 +48,11 @@ __all__ = [
     "described_lights",
     "fingerprint",
     "graph",
+    "in_surface",
     "integrator_of",
     "is_described",
     "is_sensor",
+    "lamps_in_surfaces",
     "load",
     "load_part",
     "locate",
@@ -71,6 +74,7 @@ __all__ = [
     "unmerged",
     "varies",
     "view",
+    "warn_of_lamps",
     "warn_of_offsets",
     "warn_of_steps",
 ]
