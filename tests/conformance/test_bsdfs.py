@@ -170,3 +170,18 @@ def test_textures_within_range_pass():
     bsdf = mi.load_dict(scenes.MATERIALS["twosided"]())
     rows = check_textures(bsdf)
     assert [(r.verdict, pytest.approx(r.figure)) for r in rows] == [("pass", 0.7), ("pass", 0.7)]
+
+
+@pytest.mark.parametrize("number", ["uint8", "uint16", "float16", "float32"])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_texels_of_every_format_are_read_as_the_texture_returns_them(number: str, channels: int) -> None:
+    stored = np.linspace(0.1, 0.9, 4 * channels).reshape(2, 2, channels)
+    if number.startswith("uint"):
+        stored *= np.iinfo(number).max
+    for raw in (None, True, False):
+        texture = {"type": "bitmap", "bitmap": mi.Bitmap(stored.astype(number))} | ({} if raw is None else {"raw": raw})
+        (row,) = check_textures(mi.load_dict({"type": "diffuse", "reflectance": texture}))
+        si = dr.zeros(mi.SurfaceInteraction3f, 4)
+        si.uv = mi.Point2f([0.25, 0.75, 0.25, 0.75], [0.25, 0.25, 0.75, 0.75])  # the centres of the texels
+        largest = np.asarray(mi.load_dict(texture).eval(si)).max()
+        assert (row.verdict, row.figure) == ("pass", pytest.approx(largest, rel=2e-3))

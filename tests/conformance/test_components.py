@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from support import scenes
 
-from etendue.conformance import check_emitter, check_function, check_ray_casting, check_sensor
+from etendue.conformance import check_emitter, check_function, check_ray_casting, check_sensor, rays
 from etendue.integration import Integrand, coordinate
 
 
@@ -157,3 +158,28 @@ def test_a_function_stays_in_its_range():
     several = Integrand(lambda x: np.stack([x[0], x[1], x[0] * 0 + 2.0]), 2, values=3, range=(0.0, 2.0))
     assert failing(check_function(several)) == set()
     assert failing(check_function(Integrand(lambda x: np.stack([x[0], 3 * x[1]]), 2, values=2, range=(0.0, 1.0))))
+
+
+@pytest.mark.parametrize("turn", [0.0, -90.0, 45.0])
+@pytest.mark.parametrize("kind", ["rectangle", "ply"])
+def test_rays_at_a_flat_scene(turn: float, kind: str, tmp_path: Path) -> None:
+    shape = {"type": "rectangle", "to_world": mi.ScalarTransform4d().rotate([1, 0, 0], turn).scale(4)}
+    if kind == "ply":
+        mi.load_dict(shape).write_ply(str(tmp_path / "floor.ply"))
+        shape = {"type": "ply", "filename": str(tmp_path / "floor.ply")}
+    scene = mi.load_dict({"type": "scene", "floor": shape})
+    for seed in range(3):
+        rows = check_ray_casting(scene, variants=("scalar_rgb",), seed=seed)
+        assert {row.verdict for row in rows} == {"pass"}
+        (aimed,) = (int(row.meaning.split()[2]) for row in rows if row.test == "misses")
+        assert aimed > 500
+
+
+def test_rays_within_a_plane_prove_nothing() -> None:
+    triangle = np.array([[[0.0, 0.0, 1e-16], [4.0, 0.0, -1e-16], [0.0, 4.0, 1e-16]]])
+    origin = np.array([[-1.0, 1.0, 0.0], [-1.0, 1.0, 1.0]])
+    along, down = np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.0, -1.0]) / 5**0.5
+    surely, perhaps = rays._nearest(origin, np.stack([along, down]), triangle, 6.0)
+    assert np.isinf(surely[0])
+    assert np.isfinite(perhaps[0])
+    assert surely[1] == pytest.approx(5**0.5)

@@ -267,7 +267,7 @@ def test_a_camera_far_from_the_origin():
 @pytest.fixture(autouse=True)
 def _said_anew():
     """What is said once is said in each test."""
-    space._warn_once.cache_clear()
+    space.warn_once.cache_clear()
 
 
 def test_a_room_in_a_large_building():
@@ -303,7 +303,7 @@ def test_what_cannot_be_moved_is_said(caplog):
         assert load(source).space.is_own
         assert text in caplog.text and why in caplog.text and "near the origin" in caplog.text
     TransportFunctions(loaded)  # which has been said
-    space._warn_once.cache_clear()
+    space.warn_once.cache_clear()
     caplog.clear()
     TransportFunctions(loaded)
     assert text in caplog.text

@@ -51,7 +51,8 @@ def check_ray_casting(
     box = scene.bbox()
     low, high = (np.asarray(v, np.float64).ravel() for v in (box.min, box.max))
     extent = float(np.linalg.norm(high - low))
-    origin = (low + (high - low) * rng.uniform(-0.1, 1.1, (rays, 3))).astype(np.float32).astype(np.float64)
+    beyond = np.maximum(0.1 * (high - low), 0.05 * extent)  # also of a flat scene
+    origin = rng.uniform(low - beyond, high + beyond, (rays, 3)).astype(np.float32).astype(np.float64)
     aim = triangles.corners[rng.choice(triangles.chosen, rays)]
     target = np.einsum("rk,rkc->rc", rng.dirichlet((1.0, 1.0, 1.0), rays), aim)
     d = np.where(np.arange(rays)[:, None] % 2 == 0, target - origin, uniform_sphere(rng, rays))
@@ -92,33 +93,48 @@ def _nearest(o: Array, d: Array, triangles: Array, extent: float) -> tuple[Array
     surely, perhaps = np.full(len(o), np.inf), np.full(len(o), np.inf)
     for start in range(0, len(o), 256):
         part = slice(start, start + 256)
-        t, inside, cos = _cross(o[part, None], d[part, None], triangles[None])
+        t, inside, cos, height = _cross(o[part, None], d[part, None], triangles[None])
         slack = _TOLERANCE * extent
         ahead = t > slack
         sure = ahead & (inside > slack) & (cos > _LEAST_COSINE)
         may = (t > -slack) & (inside > -slack)
+        # A ray within the plane, as nearly as it is known, meets it anywhere.
+        t = np.where((cos <= _LEAST_COSINE) & (height <= slack), 0.0, t)
+        may |= t == 0.0
         surely[part] = np.where(sure, t, np.inf).min(1)
         perhaps[part] = np.where(may & ~sure, t, np.inf).min(1)
     return surely, perhaps
 
 
-def _cross(o: Array, d: Array, corners: Array) -> tuple[Array, Array, Array]:
-    """Distance to a triangle's plane, distance to its edges (in scene units, negative outside), and cosine to its
-    normal."""
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    n = np.cross(b - a, c - a)
-    twice = np.linalg.norm(n, axis=-1)
-    longest = np.maximum(np.maximum(_length(b - a), _length(c - b)), _length(a - c))
-    safe = np.where(twice > 0.0, twice, 1.0)
-    n = n / safe[..., None]
-    along = (d * n).sum(-1)
+def _cross(o: Array, d: Array, corners: Array) -> tuple[Array, Array, Array, Array]:
+    """Distance along a ray to a triangle's plane, :func:`_inside` there, cosine to the normal, and distance of the
+    ray's origin from the plane."""
+    n = _normal(corners)
+    along, height = (d * n).sum(-1), ((corners[..., 0, :] - o) * n).sum(-1)
     flat = np.abs(along) < 1e-12
-    t = np.where(flat, np.inf, ((a - o) * n).sum(-1) / np.where(flat, 1.0, along))
+    t = np.where(flat, np.inf, height / np.where(flat, 1.0, along))
     p = o + np.where(np.isfinite(t), t, 0.0)[..., None] * d
+    return t, _inside(p, corners), np.abs(along), np.abs(height)
+
+
+def _inside(p: Array, corners: Array) -> Array:
+    """Distance of points in a triangle's plane to its edges (in scene units, negative outside)."""
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    n, twice = _normal(corners), _length(np.cross(b - a, c - a))
+    safe = np.where(twice > 0.0, twice, 1.0)
+    longest = np.maximum(np.maximum(_length(b - a), _length(c - b)), _length(a - c))
     # Distances to the edges are barycentric coordinates times heights; a lower bound with the least height.
     weights = [(np.cross(v - u, p - u) * n).sum(-1) / safe for u, v in ((a, b), (b, c), (c, a))]
     inside = np.minimum(np.minimum(*weights[:2]), weights[2]) * (safe / np.maximum(longest, 1e-30))
-    return t, np.where(twice > 0.0, inside, -np.inf), np.abs(along)
+    result: Array = np.where(twice > 0.0, inside, -np.inf)
+    return result
+
+
+def _normal(corners: Array) -> Array:
+    n = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    length = _length(n)
+    result: Array = n / np.where(length > 0.0, length, 1.0)[..., None]
+    return result
 
 
 def _length(v: Array) -> Array:
@@ -139,10 +155,9 @@ def _check_scene(
     first = np.array([triangles.first.get(int(s), -1) for s in shape])
     known = (valid > 0.0) & (first >= 0) & (instance == 0)
     corners = triangles.corners[(first + face.astype(np.int64))[known]]
-    distance, inside, cos = _cross(o[known], d[known], corners)
-    slack = _TOLERANCE * extent
-    off = np.abs(distance - t[known]) * np.maximum(cos, _LEAST_COSINE) > slack
-    wrong = int((off | (inside < -slack)).sum())
+    points, slack = o[known] + t[known, None] * d[known], _TOLERANCE * extent
+    off = np.abs(((points - corners[:, 0]) * _normal(corners)).sum(-1)) > slack
+    wrong = int((off | (_inside(points, corners) < -slack)).sum())
     findings.judge(
         "hits",
         float(wrong),

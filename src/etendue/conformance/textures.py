@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.scene import graph
 
@@ -52,7 +55,7 @@ def check_textures(
             with findings.trying(f"texture {key}"):
                 texels = dict(graph.contents(texture).values).get("data")
                 if texels is not None and texels.ndim == 3:
-                    values = np.asarray(texels.array, np.float64)
+                    values = _values(texture, np.asarray(texels.array))
                 elif not texture.is_spatially_varying():
                     values = host(texture.eval(points_on(None, None, 1, rng)), 1)
                 else:
@@ -61,6 +64,18 @@ def check_textures(
                 _judge(findings, key, values)
             rows += findings.rows
     return rows
+
+
+def _values(texture: mi.Texture, texels: NDArray[Any]) -> Array:
+    """The values that a bitmap's texels stand for: Mitsuba keeps eight bits as they are, in sRGB unless ``raw``, and
+    converts other formats."""
+    values = texels.astype(np.float64)
+    if texels.dtype.kind == "f":
+        return values
+    values /= np.iinfo(texels.dtype).max
+    if "raw = 1" in str(texture):
+        return values
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def _judge(findings: Findings, key: str, values: Array) -> None:

@@ -25,6 +25,7 @@ from .loading import Source, checked_size, integrator_of, load, locate
 from .members import Material, Members, bsdfs, emitters
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
+from .placement import in_surface, lamps_in_surfaces, warn_of_lamps
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -63,10 +64,12 @@ __all__ = [
     "front",
     "graph",
     "has_cells",
+    "in_surface",
     "integrator_of",
     "is_described",
     "is_sensor",
     "is_smooth",
+    "lamps_in_surfaces",
     "load",
     "load_part",
     "locate",
@@ -88,6 +91,7 @@ __all__ = [
     "uniform_point",
     "unmerged",
     "view",
+    "warn_of_lamps",
     "warn_of_offsets",
     "warn_of_steps",
 ]

@@ -32,6 +32,7 @@ from .parsing import (
     take_integrator,
     texture_details,
 )
+from .placement import warn_of_lamps
 from .problem import Problem
 from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
@@ -330,6 +331,8 @@ def _problem(
             f"integrator '{integrator}' of {name} has 'hide_emitters', which is not supported; remove it, or hide the "
             "emitter's shape"
         )
+    if check:
+        warn_of_lamps(scene, name)
     return Problem(
         scene=scene,
         sensor=sensor,

@@ -1,0 +1,74 @@
+"""Point-like lamps that lie in a surface: whether the surface hides them depends on rounding, so methods differ."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+
+from etendue.core import Array
+
+from .graph import as_array, contents, describe, plugin_name, shapes
+from .space import half_diagonal, warn_once
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: A lamp lies in a surface if this is their distance, as a share of half the scene's diagonal; and in steps of single
+#: precision at its coordinates.
+_NEAR, _STEPS = 1e-5, 8.0 * 2.0**-24
+#: Three axes and four diagonals of a cube: no plane contains more than three of them.
+_DIRECTIONS = np.array(
+    [d for d in product((1, 0, -1), repeat=3) if sum(map(abs, d)) in (1, 3) and d > (0, 0, 0)], float
+)
+
+
+def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
+    """Each point-like lamp of a loaded scene that lies in a surface which is not invisible, with the surface's shape."""
+    import mitsuba as mi
+
+    lamps = [e for e in scene.emitters() if mi.has_flag(e.flags(), mi.EmitterFlags.DeltaPosition)]
+    if not lamps:
+        return []
+    place = np.array([_position(lamp) for lamp in lamps])
+    reach = (_NEAR * half_diagonal(scene) + _STEPS * np.abs(place).max(axis=1))[:, None, None]
+    along = _DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+    start = (place[:, None] - reach * along).reshape(-1, 3).T
+    ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(start, np.float32)), mi.Vector3f(0.0))
+    ray.d = mi.Vector3f(np.ascontiguousarray(np.tile(along, (len(lamps), 1)).T, np.float32))
+    ray.maxt = mi.Float(np.repeat(2.0 * reach.ravel(), len(along)).astype(np.float32))
+    met = dr.reinterpret_array(mi.UInt32, scene.ray_intersect_preliminary(ray).shape)
+    numbers = np.asarray(met).reshape(len(lamps), -1)
+    if not numbers.any():
+        return []
+    by_number = {int(np.asarray(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))).item()): s for s in shapes(scene)}
+    found = []
+    for lamp, row in zip(lamps, numbers, strict=True):
+        near = [by_number[n] for n in row.tolist() if n in by_number]
+        near = [s for s in near if s.bsdf() is None or plugin_name(s.bsdf()) != "null"]
+        found += [(lamp, near[0])] if near else []
+    return found
+
+
+def in_surface(shape: mi.Shape) -> str:
+    """What is wrong with a lamp that lies in the surface of a shape, and a remedy."""
+    return (
+        f"lies in the surface of {describe(shape, 'shape')}, so it depends on the method and on rounding which side it "
+        "lights; move it off the surface, by a thousandth of the scene's size or more"
+    )
+
+
+def warn_of_lamps(scene: mi.Scene, name: str) -> None:
+    """Warn, once for each text, of point-like lamps that lie in surfaces."""
+    for lamp, shape in lamps_in_surfaces(scene):
+        warn_once(f"{name}: {describe(lamp, 'emitter')} {in_surface(shape)}")
+
+
+def _position(lamp: mi.Emitter) -> Array:
+    values = dict(contents(lamp).values)
+    if "position" in values:
+        return as_array(values["position"]).astype(np.float64).ravel()
+    place: Array = as_array(values["to_world"]).astype(np.float64).reshape(4, 4)[:3, 3]
+    return place
