@@ -31,7 +31,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Problem
+from etendue.scene import LightTable, Problem, graph
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -169,6 +169,7 @@ class ImageMethod(ABC):
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
+        graph.without_literals(problem.scene)
         self.problem = problem
         self.scene = problem.scene
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")

@@ -108,6 +108,9 @@ class LightTable:
         #: Centre and radius R of the sphere that bounds the scene's geometry.
         self.centre, self.radius = sphere.center, float(np.asarray(sphere.radius).ravel()[0])
 
+        #: The same on the device, (x, y, z, R), and :attr:`total_power`.
+        self.bound = on_device(mi.Vector4f, [*self.centre, self.radius])
+
         rows = [_describe(e, self.radius) for e in emitters]
         self.has_area, self.has_point, self.has_infinite, self.has_beam = (
             any(r.kind == kind for r in rows) for kind in _KINDS
@@ -124,6 +127,7 @@ class LightTable:
         #: (count,) emitted power of each emitter, on the host, and the sum.
         self.powers = power
         self.total_power = float(power.sum()) or 1.0
+        self.flux = on_device(mi.Float, [self.total_power])
         weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
         #: (count,) probability of picking each emitter, on the host.
         self.probabilities = pick = weight / weight.sum()
