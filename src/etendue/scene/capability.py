@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
+from .lamps.radiance import is_black
 from .space import SENSORS
 
 if TYPE_CHECKING:
@@ -58,6 +59,13 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
         raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
     for emitter in scene.emitters():
         _check_emitter(emitter)
+
+
+def check_light(scene: mi.Scene) -> None:
+    """Raises :class:`SceneError` if every emitter of a scene is black. For descriptions of scenes: in a loaded scene,
+    all lamps may have been switched off."""
+    if all(is_black(emitter) for emitter in scene.emitters()):
+        raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
 
 
 def _check_sensor(sensor: mi.Sensor) -> None:

@@ -122,8 +122,9 @@ class LightTable:
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
         lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
-        if not lit.any():
-            raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
+        #: Whether every lamp is switched off, so that every picture is black.
+        self.is_black = not lit.any()
+        lit |= self.is_black  # any probabilities do
         #: (count,) emitted power of each emitter, on the host, and the sum.
         self.powers = power
         self.total_power = float(power.sum()) or 1.0
