@@ -61,10 +61,15 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
         _check_emitter(emitter)
 
 
+def is_dark(scene: mi.Scene) -> bool:
+    """Whether every emitter of a scene is known to be black."""
+    return all(is_black(emitter) for emitter in scene.emitters())
+
+
 def check_light(scene: mi.Scene) -> None:
     """Raises :class:`SceneError` if every emitter of a scene is black. For descriptions of scenes: in a loaded scene,
     all lamps may have been switched off."""
-    if all(is_black(emitter) for emitter in scene.emitters()):
+    if is_dark(scene):
         raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
 
 
