@@ -185,13 +185,18 @@ def on_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase
     """Host numbers as a device array in memory of Dr.Jit, for few numbers.
 
     An array made from a NumPy array directly would share its memory, whose alignment varies and is compiled into all
-    kernels that read the array, so that another process would not find these kernels in the cache.
+    kernels that read the array, so that another process would not find these kernels in the cache. A single number
+    becomes opaque: as a literal, each value would need kernels of its own.
     """
-    return array_type(np.asarray(values).ravel().tolist())
+    import drjit as dr
+
+    result = array_type(np.asarray(values).ravel().tolist())
+    dr.make_opaque(result)
+    return result
 
 
 def copied_to_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase:
-    """As :func:`on_device`, for many numbers: a kernel copies them. A single number becomes opaque, not a literal."""
+    """As :func:`on_device`, for many numbers: a kernel copies them."""
     import drjit as dr
 
     numbers = np.ascontiguousarray(values).ravel()

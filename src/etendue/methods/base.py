@@ -31,7 +31,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Problem
+from etendue.scene import LightTable, Problem, graph
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -151,6 +151,8 @@ class ImageMethod(ABC):
     one_place = False
     #: An instance of ``Settings``.
     settings: Any
+    #: The method for a scene whose lamps are all switched off, if it is another one.
+    in_the_dark: ClassVar[type[ImageMethod] | None] = None
     #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
 
@@ -169,11 +171,10 @@ class ImageMethod(ABC):
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
-        self.problem = problem
-        self.scene = problem.scene
+        graph.without_literals(problem.scene)
+        self.problem, self.scene = problem, problem.scene
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
-        self.lights = LightTable(problem.scene)
-        self.visibility = Visibility(problem.scene)
+        self.lights, self.visibility = LightTable(problem.scene), Visibility(problem.scene)
         self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())

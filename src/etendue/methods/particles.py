@@ -30,7 +30,7 @@ from etendue.core import (
     setting,
 )
 from etendue.particles import Keep, Particles, ParticleStore, ParticleWalk, Rows, Surfaces, SurfaceTable, columns_of
-from etendue.scene import LightTable, Problem
+from etendue.scene import LightTable, Problem, graph
 from etendue.transport import (
     EMISSION,
     FIRST_BOUNCE,
@@ -144,6 +144,7 @@ class ParticleTracing:
     def _build(self, problem: Problem, seed: int) -> None:
         settings = self.settings
         self.problem = problem
+        graph.without_literals(problem.scene)
         self.lights = LightTable(problem.scene)
         self._table = SurfaceTable(problem)
         keep = Keep(settings.keep)

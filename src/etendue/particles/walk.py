@@ -165,7 +165,7 @@ class ParticleWalk(Walker):
         scattered, _ = vertex.sample(source, arrived)
         # For absorbed flux, roulette keeps the largest channel of a path unchanged, so that paths end with about equal
         # power.
-        whole = dr.max(incident) if self.keep is Keep.ABSORBED else mi.Float(self.lights.total_power)
+        whole = dr.max(incident) if self.keep is Keep.ABSORBED else self.lights.flux
         relative = s.throughput * scattered.weight / whole
         self.advance(s, vertex, scattered, source, roulette_by=(relative, 1.0))
         s.active &= goes_on

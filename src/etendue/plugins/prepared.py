@@ -12,7 +12,7 @@ import mitsuba as mi
 from etendue.core import Method, prepared
 from etendue.engine import fit_samples, settle_samples
 from etendue.methods import ImageMethod, ImageSettings
-from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_lamps, warn_of_offsets
+from etendue.scene import Parameters, Problem, check, is_dark, parameters, view, warn_of_lamps, warn_of_offsets
 
 #: Largest number of cached methods, one for each pair of sensor and sample count.
 _MOST = 16
@@ -70,6 +70,9 @@ class Prepared:
 
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
         method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
+        if method.in_the_dark is not None and is_dark(problem.scene):
+            shared = {name: getattr(self._settings, name) for name in ImageSettings.names()}
+            method = method.in_the_dark(method.in_the_dark.Settings(**shared))
         seed = _pilot_seed(method, seed)
         fitted: Any = fit_samples(prepared(method, problem, seed), problem.spp, problem, seed)
         settle_samples(fitted)

@@ -3,7 +3,7 @@
 from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import MOVABLE, Camera
-from .capability import check
+from .capability import check, is_dark
 from .changes.edits import ParameterChanges, name_elements
 from .changes.parameters import SceneEditor, SceneParameter
 from .changes.watching import Parameters, parameters, view
@@ -66,6 +66,7 @@ __all__ = [
     "has_cells",
     "in_surface",
     "integrator_of",
+    "is_dark",
     "is_described",
     "is_sensor",
     "is_smooth",

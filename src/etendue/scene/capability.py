@@ -14,6 +14,7 @@ from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .environments import is_unsampled
 from .graph import as_array, below, contents, describe, plugin_name, shapes
+from .lamps.radiance import is_black
 from .space import SENSORS
 from .transforms import fault, mirrors, misshapen
 
@@ -59,6 +60,18 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
         raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
     for emitter in scene.emitters():
         _check_emitter(emitter)
+
+
+def is_dark(scene: mi.Scene) -> bool:
+    """Whether every emitter of a scene is known to be black."""
+    return all(is_black(emitter) for emitter in scene.emitters())
+
+
+def check_light(scene: mi.Scene) -> None:
+    """Raises :class:`SceneError` if every emitter of a scene is black. For descriptions of scenes: in a loaded scene,
+    all lamps may have been switched off."""
+    if is_dark(scene):
+        raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
 
 
 def _check_sensor(sensor: mi.Sensor) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +109,15 @@ def below(item: mi.Object) -> Iterator[mi.Object]:
         keep.append(node)
         yield node
         stack.extend(child for _, child in reversed(contents(node).objects))
+
+
+def without_literals(root: mi.Object) -> None:
+    """Make the numbers of ``root`` and of all below it variables of the device. Mitsuba leaves some as literals, such
+    as the transformation of a rectangle: each value would need kernels of its own."""
+    for item in below(root):
+        for _, value in contents(item).values:
+            if isinstance(value, dr.ArrayBase) or "Transform" in type(value).__name__:
+                dr.make_opaque(value)
 
 
 def shapes(scene: mi.Scene) -> list[mi.Shape]:

@@ -18,6 +18,7 @@ from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
+from .capability import check_light
 from .editing import Change
 from .environments import instantiated
 from .models.reading import SUFFIXES, is_model, model
@@ -229,6 +230,8 @@ def _from_parser(
                 scene = instantiated(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
+        if change is None:
+            check_light(scene)
     space = RenderSpace.of(scene, chosen)
     if not space.is_own:
         with _resolving(folders), _mitsuba_errors(name):

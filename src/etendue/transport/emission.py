@@ -192,12 +192,12 @@ def _emit_infinite(
     out: EmittedRay, lights: LightTable, light: Light, u_point: mi.Point2f, u_direction: mi.Point2f, mask: mi.Bool
 ) -> None:
     centre = dr.zeros(mi.Interaction3f)
-    centre.p = mi.Point3f(lights.centre)
+    centre.p = mi.Point3f(lights.bound.xyz)
     ds, weight = light.sample_direction("infinite", centre, u_direction, mask)
     # A disc of the scene's radius, perpendicular to the direction, that touches the bounding sphere.
-    disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.radius
+    disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.bound.w
     frame = mi.Frame3f(ds.d)
-    origin = centre.p + frame.to_world(mi.Vector3f(disc.x, disc.y, lights.radius))
+    origin = centre.p + frame.to_world(mi.Vector3f(disc.x, disc.y, lights.bound.w))
     direction_density = light.emitted * ds.pdf
     usable = mask & (ds.pdf > 0.0)
     out.ray[usable] = mi.Ray3f(origin, -ds.d)

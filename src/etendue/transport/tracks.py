@@ -90,7 +90,6 @@ class PathRecorder:
         self._lights = LightTable(problem.scene)
         self._visibility = Visibility(problem.scene)
         self._edges = dr.opaque(mi.UInt32, self._most)
-        self._far = float(self._lights.radius)
 
     def look(self, problem: Problem) -> None:
         """Take the sensor of ``problem``, whose scene must be the same."""
@@ -175,7 +174,7 @@ class PathRecorder:
                 light, direct = dr.select(shown, point.target, light), dr.select(shown, reached, 0.0)
             else:
                 scattered, _ = vertex.sample(source, at_surface)
-            outside = path.ray.o + path.ray.d * (0.5 * self._far)
+            outside = path.ray.o + path.ray.d * (0.5 * self._lights.bound.w)
             position = dr.select(vertex.valid, vertex.position, outside)
             side = dr.dot(scattered.direction, vertex.si.n) * dr.dot(vertex.incoming, vertex.si.n)
             kind = dr.select(side > 0.0, mi.UInt32(Event.REFRACTED), mi.UInt32(Event.REFLECTED))

@@ -116,6 +116,7 @@ class MetropolisMethod(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = MetropolisSettings
     settings: MetropolisSettings
     carries_on: ClassVar[bool] = True
+    in_the_dark: ClassVar[type[ImageMethod] | None] = Bpt  # chains cannot start without light
 
     @abstractmethod
     def make_target(self, seed: int) -> Target:

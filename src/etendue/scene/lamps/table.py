@@ -109,6 +109,9 @@ class LightTable:
         #: Centre and radius R of the sphere that bounds the scene's geometry.
         self.centre, self.radius = sphere.center, float(np.asarray(sphere.radius).ravel()[0])
 
+        #: The same on the device, (x, y, z, R), and :attr:`total_power`.
+        self.bound = on_device(mi.Vector4f, [*self.centre, self.radius])
+
         rows = [_describe(e, self.radius) for e in emitters]
         self.has_area, self.has_point, self.has_infinite, self.has_beam = (
             any(r.kind == kind for r in rows) for kind in _KINDS
@@ -120,11 +123,13 @@ class LightTable:
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
         lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
-        if not lit.any():
-            raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
+        #: Whether every lamp is switched off, so that every picture is black.
+        self.is_black = not lit.any()
+        lit |= self.is_black  # any probabilities do
         #: (count,) emitted power of each emitter, on the host, and the sum.
         self.powers = power
         self.total_power = float(power.sum()) or 1.0
+        self.flux = on_device(mi.Float, [self.total_power])
         weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
         #: (count,) probability of picking each emitter, on the host.
         self.probabilities = pick = weight / weight.sum()

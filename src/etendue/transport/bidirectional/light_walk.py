@@ -164,7 +164,7 @@ class LightWalk(BidirectionalWalk):
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
-        relative = s.throughput * scattered.weight / (self.lights.total_power if s.flux is None else s.flux)
+        relative = s.throughput * scattered.weight / (self.lights.flux if s.flux is None else s.flux)
         self.leave(s, vertex, scattered, source, on_edge, (relative, 1.0), place)
 
     def _splat(

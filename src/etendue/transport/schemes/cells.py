@@ -168,6 +168,6 @@ class ImportancePilot(Walker):
         s.arrived += dr.select(visible, mi.luminance(s.throughput), 0.0)
         s.active &= s.depth < self.max_edges
         scattered, _ = vertex.sample(source, s.active, proposal=scatter_light)
-        relative = s.throughput * scattered.weight / self.lights.total_power
+        relative = s.throughput * scattered.weight / self.lights.flux
         self.advance(s, vertex, scattered, source, roulette_by=(relative, mi.Float(1.0)))
         return s
