@@ -16,10 +16,9 @@ beam       1 / A, uniform over the shape       1, along the normal (directionala
 =========  ==================================  ====================================================================
 
 Next event estimation samples a spherical light by its solid angle from the lit point; emission samples as in the table.
-Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; the
-power of a texture is measured texel by texel. An emitter that is not known to be black always has a positive
-probability. A projector samples its rays by its texture, not uniformly; the weights only need a density that all
-techniques share.
+Each density is multiplied by the probability of picking the emitter; see :func:`shares`. The power of a texture is
+measured texel by texel. A projector samples its rays by its texture, not uniformly; the weights only need a density
+that all techniques share.
 """
 
 from __future__ import annotations
@@ -30,6 +29,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, copied_to_device, on_device
 
@@ -41,7 +41,7 @@ from .radiance import RadianceCells, is_black, measure, varies
 #: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
 #: Smallest probability of an emitter that is not known to be black, relative to an equal share.
-_LEAST_PICK = 0.01
+_LEAST_SHARE = 0.25
 
 
 @dataclass
@@ -97,15 +97,17 @@ class LightTable:
         if not np.isfinite(power).all() or (power < 0).any():
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
-        lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
+        lit = np.array([_is_lit(r, e) for r, e in zip(rows, emitters, strict=True)])
         if not lit.any():
-            raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
+            raise SceneError(
+                "every emitter of the scene emits nothing; give one a radiance and a sampling_weight above zero"
+            )
         #: (count,) emitted power of each emitter, on the host, and the sum.
         self.powers = power
         self.total_power = float(power.sum()) or 1.0
-        weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
+        weight, infinite = np.array([r.weight for r in rows]), np.array([r.kind == "infinite" for r in rows])
         #: (count,) probability of picking each emitter, on the host.
-        self.probabilities = pick = weight / weight.sum()
+        self.probabilities = pick = shares(power * weight, lit, infinite)
 
         self._emitters = scene.emitters_dr()
         self._pick = on_device(mi.Float, pick)
@@ -123,8 +125,8 @@ class LightTable:
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         self._emitted, self._emitted_cdf = self._pick, self._cdf
-        #: Whether the probabilities are learned, not proportional to power.
-        self.is_learned = False
+        #: Whether emitted rays have the same flux, because the probabilities are proportional to power.
+        self.has_even_flux = bool(np.allclose(pick, power / self.total_power))
         #: (count,) whether :class:`Light` has the density of a light's ray directions, so that another distribution can
         #: sample them; on the host.
         self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
@@ -153,7 +155,7 @@ class LightTable:
         """The same lights, picked with other probabilities, (count,) each: for next event estimation, and for emission.
         Probabilities are rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
-        table.is_learned = True
+        table.has_even_flux = False
         table.probabilities, own = _in_steps(direct), _in_steps(emitted)
         table._pick, table._emitted, table._middle = (
             copied_to_device(mi.Float, values.astype(np.float32))
@@ -202,6 +204,30 @@ class LightTable:
 _KINDS = ("area", "point", "infinite", "beam")
 
 
+def shares(power: Array, lit: NDArray[np.bool_], infinite: NDArray[np.bool_]) -> Array:
+    """Probabilities of emitters, (count,): by power among the finite ones, and among the infinite ones.
+
+    The power of an infinite emitter is that through the scene's bounding sphere. It grows with ground that nobody sees,
+    so it says nothing about the light beside that of a lamp: n infinite emitters together have the share n / (n + 1),
+    as in pbrt. An emitter that is ``lit`` has at least :data:`_LEAST_SHARE` of an equal share, before normalisation.
+    """
+    count = int((lit & infinite).sum())
+    both = 0 < count < lit.sum()
+    result = np.zeros(len(power))
+    for group, share in ((lit & infinite, count / (count + 1)), (lit & ~infinite, 1 / (count + 1))):
+        total = power[group].sum()
+        result[group] = (share if both else 1.0) * (power[group] / total if total > 0.0 else 1.0)
+    result = np.where(lit, np.maximum(result, _LEAST_SHARE / max(lit.sum(), 1)), 0.0)
+    normalised: Array = result / result.sum()
+    return normalised
+
+
+def _is_lit(row: _Row, emitter: mi.Emitter) -> bool:
+    """Whether an emitter may give light to a picture. A weight of 0 keeps Mitsuba from sampling an emitter, so that one
+    that no ray can hit gives none."""
+    return (row.weight > 0.0 or not row.is_delta) and (row.power > 0.0 or not is_black(emitter))
+
+
 def _in_steps(probability: Array) -> Array:
     """Probabilities as multiples of 2^-23 whose sum is one."""
     steps = np.where(probability > 0.0, 1.0, 0.0)
@@ -222,6 +248,7 @@ class _Row:
     name: str
     kind: str
     power: float
+    weight: float  #: ``sampling_weight`` of the emitter
     area_density: float
     direction_density: float = 0.0
     is_delta: bool = False
@@ -234,23 +261,26 @@ class _Row:
 def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
     flags = emitter.flags()
     name = emitter.id() or emitter.class_name()
+    weight = emitter.sampling_weight()
     one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
-        return _Row(name, "infinite", _power(emitter), 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
+        return _Row(name, "infinite", _power(emitter), weight, 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         projects = "irradiance" in mi.traverse(emitter)
-        return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True, is_projector=projects)
+        density = _cone_density(emitter)
+        return _Row(name, "point", _power(emitter), weight, 1.0, density, is_delta=True, is_projector=projects)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
         raise SceneError(f"area emitter '{name}' is on a shape without area; remove it or repair the shape")
     if one_direction:
-        return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
+        return _Row(name, "beam", _power(emitter), weight, 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
     cells = measure(emitter) if varies(emitter) else None
     radiance = cells.mean if cells else _radiance(emitter)
     # Focus keeps the power and increases the radiance along the normal.
     power = np.pi * area * radiance / (0.5 * exponent + 1.0)
-    return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells, sphere=_sphere(emitter.get_shape()))
+    sphere = _sphere(emitter.get_shape())
+    return _Row(name, "area", power, weight, 1.0 / area, exponent=exponent, cells=cells, sphere=sphere)
 
 
 def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:

@@ -93,8 +93,8 @@ class LightWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
-            # Learned emission gives little flux to the paths that contribute most.
-            flux=dr.sum(emitted.throughput) / 3.0 if self.lights.is_learned or self.departures is not None else None,
+            # Paths from lights that are picked more often than by power have little flux, but contribute as much.
+            flux=None if self.lights.has_even_flux and self.departures is None else dr.sum(emitted.throughput) / 3.0,
         )
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
