@@ -9,6 +9,7 @@ from .changes.parameters import SceneEditor, SceneParameter
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
+from .lamps.places import LightsAt
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
@@ -29,6 +30,7 @@ __all__ = [
     "Light",
     "LightEdits",
     "LightTable",
+    "LightsAt",
     "ParameterChanges",
     "Parameters",
     "PortableScene",

@@ -35,6 +35,7 @@ from etendue.core import Array, SceneError, copied_to_device, on_device
 
 from ..graph import as_array, contents, plugin_name
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
+from .places import Groups, Lamp, LightsAt
 from .points import LightPoints
 from .radiance import RadianceCells, is_black, measure, varies
 
@@ -109,6 +110,9 @@ class LightTable:
         #: (count,) probability of picking each emitter, on the host.
         self.probabilities = pick = shares(power * weight, lit, infinite)
 
+        #: Groups of the lights that are picked by the place that they light; None for a single light.
+        self.groups = Groups([r.lamp(e) for r, e in zip(rows, emitters, strict=True)], pick) if len(rows) > 1 else None
+
         self._emitters = scene.emitters_dr()
         self._pick = on_device(mi.Float, pick)
         self._area_density = on_device(mi.Float, [r.area_density for r in rows])
@@ -161,7 +165,19 @@ class LightTable:
             copied_to_device(mi.Float, values.astype(np.float32))
             for values in (table.probabilities, own, _middles(own))
         )
+        if self.groups is not None:
+            table.groups = Groups(self.groups.lamps, table.probabilities)
         table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
+        return table
+
+    def at(self, p: mi.Point3f) -> LightTable | LightsAt:
+        """The lights, picked by next event as it is best at a place (see :mod:`.places`)."""
+        return self if self.groups is None else LightsAt(self, p)
+
+    def alike_everywhere(self) -> LightTable:
+        """The same lights, picked with the same probabilities at every place."""
+        table = copy.copy(self)
+        table.groups = None
         return table
 
     def left_by_pick(self, u: mi.Float) -> mi.Float:
@@ -256,6 +272,27 @@ class _Row:
     is_projector: bool = False
     cells: RadianceCells | None = None  #: of an area light whose radiance varies
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical light
+
+    def lamp(self, emitter: mi.Emitter) -> Lamp:
+        """What the light shines at a place."""
+        if self.kind == "infinite":
+            return Lamp(self.power * self.area_density, is_infinite=True)
+        if self.kind == "point":
+            values = mi.traverse(emitter)
+            if "to_world" not in values:
+                return Lamp(self.power, as_array(values["position"]).ravel().tolist())
+            place = np.asarray(values["to_world"].matrix, np.float64).reshape(4, 4)
+            axis, cosine = place[:3, 2] / np.linalg.norm(place[:3, 2]), 1.0 - 0.5 / (np.pi * self.direction_density)
+            even = 4.0 * np.pi * self.direction_density
+            return Lamp(self.power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
+        shape = emitter.get_shape()
+        box = shape.bbox()
+        low, high = (np.asarray(corner, np.float64).ravel() for corner in (box.min, box.max))
+        centre, extent = (0.5 * (low + high)).tolist(), 0.5 * float(np.linalg.norm(high - low))
+        if self.kind == "area" and plugin_name(shape) in ("rectangle", "disk"):
+            normal = np.asarray(shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n, np.float64).ravel()
+            return Lamp(self.power, centre, extent, normal.tolist(), 0.0, 4.0, 0.0)
+        return Lamp(0.0 if self.kind == "beam" else self.power, centre, extent)
 
 
 def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
