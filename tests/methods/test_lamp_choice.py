@@ -84,3 +84,48 @@ def test_weights_of_a_scene_give_the_picture_of_mitsuba(kind):
             if kind == "constant" and method == "light":  # splats leave out what the camera sees directly of a sky
                 continue
             assert_agree(got, expected, (kind, weight, method), precision=0.05)
+
+
+def many(lamps: int) -> Any:
+    """A room without a roof, with lamps of every kind; all of them are near to something."""
+    look = scenes.transform().look_at([0.9, 1.4, 0.6], [-0.2, 0, 0], [0, 1, 0])
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "sensor": scenes.camera((0.0, 1.0, 2.6), (0.1, 0.2, 0.0), 30.0, size=(16, 16)),
+        "floor": scenes.plate((0.0, 0.0, 0.0), 1.5, True),
+        "wall": {
+            "type": "rectangle",
+            "to_world": scenes.transform().translate([0.0, 1.0, -0.7]).scale(1.5),
+            "bsdf": scenes.diffuse(0.4, 0.5, 0.6),
+        },
+        "box": {
+            "type": "cube",
+            "to_world": scenes.transform().translate([0.1, 0.2, 0.1]).scale(0.2),
+            "bsdf": {"type": "roughplastic", "alpha": 0.2},
+        },
+        "sky": {"type": "constant", "radiance": 0.2},
+        "sun": {"type": "directional", "direction": [0.3, -1, -0.2], "irradiance": 0.5},
+        "spot": {"type": "spot", "to_world": look, "intensity": 2.0, "cutoff_angle": 30},
+        "square": scenes.lamp((-0.5, 1.2, 0.0), 0.2, 4.0),
+        "ball": {"type": "sphere", "center": [0.6, 0.5, -0.2], "radius": 0.1, "emitter": scenes._area(3, 2, 1)},
+    }
+    for number in range(lamps):
+        place = [-0.8 + 0.1 * number, 0.3, -0.5 + 0.04 * number]
+        scene[f"ball{number}"] = {"type": "sphere", "center": place, "radius": 0.03, "emitter": scenes._area(4, 3, 5)}
+    return scenes.load(scene)
+
+
+@pytest.mark.parametrize("lamps", [0, 14])
+def test_every_technique_knows_which_lamps_the_others_pick(lamps):
+    """Lights picked by place, alone and in groups: pictures agree with those of paths that pick them evenly."""
+    problem = many(lamps)
+    expected = mitsuba_path(problem, samples=512, max_depth=4)
+    for method, settings in (
+        ("path", {}),
+        ("guided", {"cell_samples": 500}),
+        ("bpt", {"direct_light": "all", "guide_emission": "off"}),
+        ("bpt", {"light_source": "path", "heuristic": "power", "next_events": 2}),
+        ("pm", {}),
+    ):
+        got = run(problem, method, samples=128, max_depth=4, **settings).images
+        assert_agree(got, expected, (lamps, method), precision=0.05)

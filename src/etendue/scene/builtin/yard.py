@@ -54,7 +54,7 @@ def yard() -> dict[str, Any]:
             "type": "sphere",
             "center": [-0.4, 1.9, -0.3],
             "radius": 0.06,
-            "emitter": {"type": "area", "radiance": rgb(26.0, 18.0, 9.0)},
+            "emitter": {"type": "area", "radiance": rgb(100.0, 72.0, 36.0)},
         },
     }
     for number, turn in enumerate(np.linspace(0.3, 0.3 + 2.0 * np.pi, 9, endpoint=False).tolist()):
