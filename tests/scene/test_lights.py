@@ -98,11 +98,57 @@ def test_what_may_emit_is_never_left_out():
     pixels[200, 300] = 1.0
     spot = {"type": "spot", "texture": scenes.bitmap(pixels), "cutoff_angle": 40.0}
     lights = table(a=spot, b=point(1.0), c=point(1e-9), d=point(0.0))
-    floor = 0.01 / 4
+    floor = 0.25 / 3 / 1.25
     np.testing.assert_array_equal(lights.probabilities[[0, 2, 3]] > 0.9 * floor, [True, True, False])
     assert lights.probabilities.sum() == pytest.approx(1.0)
     assert lights.probabilities[3] == 0.0
     assert table(a=spot).probabilities == [1.0]
+
+
+def test_a_sky_leaves_lamps_their_share():
+    """Whatever the size of the ground, which decides the power of a sky through the bounding sphere."""
+    sky, sun = (
+        {"type": "constant", "radiance": 3.0},
+        {"type": "directional", "direction": [0, -1, 0], "irradiance": 9.0},
+    )
+    for side in (1.0, 1000.0):
+        ground = {"ground": scenes.plate((0, -1, 0), side, True)}
+        one = table(a=sky, b=point(1.0), **ground)
+        np.testing.assert_allclose(one.probabilities, 0.5)
+        many = table(a=point(1.0), b=sky, c=point(3.0), d=sun, e=point(1e-6), f=point(0.0), **ground).probabilities
+        by_sky = 3.0 * 4.0 / (3.0 * 4.0 + 9.0 / np.pi)
+        wanted = np.array([0.25, 2 * by_sky, 0.75, 2 * (1 - by_sky), 0.25 / 5 * 3, 0.0]) / (3 + 0.25 / 5 * 3)
+        np.testing.assert_allclose(many[[0, 1, 2, 3, 4, 5]], wanted, rtol=2e-3)
+
+
+def weighted(kind: str, weight: float) -> dict[str, Any]:
+    """A point light, and a light of a kind with a weight."""
+    light: dict[str, Any] = {
+        "point": point(3.0) | {"position": [0.5, 1, 0.5]},
+        "directional": {"type": "directional", "direction": [0, -1, 0.2], "irradiance": 1.0},
+        "constant": {"type": "constant", "radiance": 0.5},
+        "area": scenes.lamp((0.5, 1.2, 0), 0.5, 3.0),
+    }[kind]
+    if "emitter" in light:
+        return {"a": point(1.0), "b": light | {"emitter": light["emitter"] | {"sampling_weight": weight}}}
+    return {"a": point(1.0), "b": light | {"sampling_weight": weight}}
+
+
+@pytest.mark.parametrize("kind", ["point", "directional", "constant", "area"])
+def test_the_weight_of_an_emitter_is_a_factor_on_its_share(kind):
+    """A weight of 0 leaves out what no ray can hit; hits find the others, as in Mitsuba, so these keep a share."""
+    for weight in (0.5, 0.0):
+        lights = table(**weighted(kind, weight))
+        row = 1
+        if weight:
+            powers = lights.powers[row], lights.powers.sum() - lights.powers[row]
+            own = 0.5 if kind in ("directional", "constant") else weight * powers[0] / (weight * powers[0] + powers[1])
+            assert lights.probabilities[row] == pytest.approx(own, rel=1e-4)
+        else:
+            assert (lights.probabilities[row] == 0.0) == (kind in ("point", "directional"))
+    if kind in ("point", "directional"):
+        alone = {key: value for key, value in weighted(kind, 1e-30).items() if key == "b"}
+        assert table(**alone).probabilities == [1.0]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from .changes.watching import Parameters, parameters, view
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
+from .lamps.places import LightsAt
 from .lamps.radiance import (
     front,
     has_cells,
@@ -40,6 +41,7 @@ __all__ = [
     "Light",
     "LightEdits",
     "LightTable",
+    "LightsAt",
     "Material",
     "Members",
     "ParameterChanges",

@@ -26,7 +26,7 @@ _DIRECTIONS = np.array(
 
 
 def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
-    """Each point-like lamp of a loaded scene that lies in a surface which is not invisible, with the surface's shape."""
+    """Each point-like lamp of a loaded scene that lies in a visible surface, with the surface's shape."""
     import mitsuba as mi
 
     lamps = [e for e in scene.emitters() if mi.has_flag(e.flags(), mi.EmitterFlags.DeltaPosition)]

@@ -9,11 +9,10 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Light, LightTable, front, own_ray, sphere_point, sphere_point_facing
+from etendue.scene import Light, LightsAt, LightTable, front, own_ray, sphere_point, sphere_point_facing
 
 from . import dimensions as dim
 from .guiding.departure import Departure, Departures
-from .guiding.lights import LocalLights
 from .lamps.points import (
     area_density_on,
     departing,
@@ -207,7 +206,7 @@ def _emit_infinite(
 
 
 def sample_direct(
-    lights: LightTable | LocalLights,
+    lights: LightTable | LightsAt,
     si: mi.SurfaceInteraction3f,
     source: SampleSource,
     vertex: mi.UInt32,
@@ -219,6 +218,7 @@ def sample_direct(
     ``departures``: as for :func:`emit`, for the density of emission."""
     component = dim.NEXT_EVENT + 4 * index
     u_point = mi.Point2f(*source.next_2d(vertex, component + 1))
+    lights = lights.at(si.p)
     light = lights.pick(source.next_1d(vertex, component), active)
     n = dr.width(u_point)
     result = DirectSample(
@@ -243,7 +243,7 @@ def sample_direct(
 
 def _direct_area(
     out: DirectSample,
-    lights: LightTable | LocalLights,
+    lights: LightTable | LightsAt,
     light: Light,
     si: mi.SurfaceInteraction3f,
     u_point: mi.Point2f,
@@ -321,19 +321,23 @@ def is_emissive(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> mi.Bool:
 
 
 def emission_of_hit(
-    lights: LightTable | LocalLights,
+    lights: LightTable | LightsAt,
     scene: mi.Scene,
     si: mi.SurfaceInteraction3f,
     active: mi.Bool,
     distance: mi.Float | None = None,
     departures: Departures | None = None,
+    origin: mi.Point3f | None = None,
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     """Emission towards the origin of a ray that hit ``si``: (radiance, area density, emission density).
 
     ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b,
     eq. 43]. ``active``: lanes whose ``si.emitter(scene)`` is not null. ``distance``: length of the edge, by default
-    that of the ray. The area density is that of next event at the start of the edge.
+    that of the ray. ``origin``: start of the edge, by default that of the ray to ``si``, which then must be a hit. The
+    area density is that of next event at the start of the edge.
     """
+    back, length = si.to_world(si.wi), si.t if distance is None else distance
+    lights = lights.at(si.p + back * length if origin is None else origin)
     light = lights.of(si.emitter(scene), active)
     radiance = light.radiance(si, active)
     area_density = point_density = area_density_on(lights, light, light.pick, si.uv, si.prim_index, active)
@@ -345,7 +349,6 @@ def emission_of_hit(
     direction_pdf = departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
     emission_density = of_emission(light, point_density * direction_pdf)
     if lights.has_sphere:
-        back, length = si.to_world(si.wi), si.t if distance is None else distance
         area_density = seen_density(light, si.p + back * length, -back, length, point_density)
     if lights.has_infinite:
         infinite = active & light.is_infinite

@@ -187,7 +187,8 @@ class Walker:
         :meth:`light_point` used at the start of the edge, if not the light table."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
-        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance, self.departures)
+        origin = s.ray.o - s.ray.d * s.travelled
+        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance, self.departures, origin)
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
         if self.first is not None:

@@ -130,7 +130,8 @@ class AdaptivePath(EndsInMap):
         """Trace a path through each pixel (indices y * width + x), not yet evaluated. ``learning``: compute
         ``parts``; ``first``: records first hits."""
         ray, importance, _ = self.camera.primary(pixel, source)
-        walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
+        lights = self.lights.alike_everywhere()  # one density of the number that picks a light for the whole picture
+        walker = self.walker(Walker, lights=lights, proposal=self.settings.proposal, first=first)
         parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
         path = NumberedPath.start(ray, walker.max_edges, parts=parts, **self.path_fields())
         path = walker.walk(path, lambda s: self._edge(s, walker, source), "path of given numbers")

@@ -18,6 +18,7 @@ from .caustics import caustics
 from .flat import flat
 from .gaps import gaps
 from .street import street
+from .yard import yard
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -68,6 +69,7 @@ def bundled() -> dict[str, BundledScene]:
         ("gaps", "a room lit through two narrow gaps, from a lamp in the second chamber behind its wall", gaps),
         ("flat", "a living room lit through a hall, by a lamp in the bedroom behind it", flat),
         ("street", "a street at night among 1,024 lanterns, most of them hidden by houses", street),
+        ("yard", "a yard at dusk: a sky, a low sun, and ten lamps, one of them near", yard),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )

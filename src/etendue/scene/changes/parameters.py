@@ -15,7 +15,7 @@ from .values import TEXTURE, TRANSFORM, Range, Value, checked, for_scene, kind_o
 if TYPE_CHECKING:
     import mitsuba as mi
 
-#: Parameters without influence on pictures of étendue.
+#: Parameters that are not to be edited, because they change how a picture is sampled rather than what it shows.
 _UNUSED = frozenset({"sampling_weight", "silhouette_sampling_weight"})
 #: Groups of parameters.
 LIGHT, MATERIAL, SHAPE = "light", "material", "shape"

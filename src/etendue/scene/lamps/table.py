@@ -16,10 +16,9 @@ beam       1 / A, uniform over the shape       1, along the normal (directionala
 =========  ==================================  ====================================================================
 
 Next event estimation samples a spherical light by its solid angle from the lit point; emission samples as in the table.
-Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; the
-power of a texture is measured texel by texel. An emitter that is not known to be black always has a positive
-probability. A projector samples its rays by its texture, not uniformly; the weights only need a density that all
-techniques share.
+Each density is multiplied by the probability of picking the emitter; see :func:`shares`. The power of a texture is
+measured texel by texel. A projector samples its rays by its texture, not uniformly; the weights only need a density
+that all techniques share.
 """
 
 from __future__ import annotations
@@ -32,12 +31,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, copied_to_device, on_device
 
 from ..graph import as_array, contents, plugin_name
 from ..members import Members
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
+from .places import Groups, Lamp, LightsAt
 from .points import LightPoints
 from .radiance import RadianceCells, has_cells, is_black, is_smooth, measure
 from .rays import own_ray
@@ -45,7 +46,7 @@ from .rays import own_ray
 #: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
 #: Smallest probability of an emitter that is not known to be black, relative to an equal share.
-_LEAST_PICK = 0.01
+_LEAST_SHARE = 0.25
 
 
 @dataclass
@@ -122,7 +123,7 @@ class LightTable:
         if not np.isfinite(power).all() or (power < 0).any():
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
-        lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
+        lit = np.array([_is_lit(r, e) for r, e in zip(rows, emitters, strict=True)])
         #: Whether every lamp is switched off, so that every picture is black.
         self.is_black = not lit.any()
         lit |= self.is_black  # any probabilities do
@@ -130,9 +131,12 @@ class LightTable:
         self.powers = power
         self.total_power = float(power.sum()) or 1.0
         self.flux = on_device(mi.Float, [self.total_power])
-        weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
+        weight, infinite = np.array([r.weight for r in rows]), np.array([r.kind == "infinite" for r in rows])
         #: (count,) probability of picking each emitter, on the host.
-        self.probabilities = pick = weight / weight.sum()
+        self.probabilities = pick = shares(power * weight, lit, infinite)
+
+        #: Groups of the lights that are picked by the place that they light; None for a single light.
+        self.groups = Groups([r.lamp(e) for r, e in zip(rows, emitters, strict=True)], pick) if len(rows) > 1 else None
 
         self._pick = on_device(mi.Float, pick)
         self._area_density = on_device(mi.Float, [r.area_density for r in rows])
@@ -151,8 +155,8 @@ class LightTable:
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         self._emitted, self._emitted_cdf = self._pick, self._cdf
-        #: Whether the probabilities are learned, not proportional to power.
-        self.is_learned = False
+        #: Whether emitted rays have the same flux, because the probabilities are proportional to power.
+        self.has_even_flux = bool(np.allclose(pick, power / self.total_power))
         #: (count,) whether :class:`Light` has the density of a light's ray directions, so that another distribution can
         #: sample them; on the host.
         self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
@@ -184,13 +188,25 @@ class LightTable:
         """The same lights, picked with other probabilities, (count,) each: for next event estimation, and for emission.
         Probabilities are rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
-        table.is_learned = True
+        table.has_even_flux = False
         table.probabilities, own = _in_steps(direct), _in_steps(emitted)
         table._pick, table._emitted, table._middle = (
             copied_to_device(mi.Float, values.astype(np.float32))
             for values in (table.probabilities, own, _middles(own))
         )
+        if self.groups is not None:
+            table.groups = Groups(self.groups.lamps, table.probabilities)
         table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
+        return table
+
+    def at(self, p: mi.Point3f) -> LightTable | LightsAt:
+        """The lights, picked by next event as it is best at a place (see :mod:`.places`)."""
+        return self if self.groups is None else LightsAt(self, p)
+
+    def alike_everywhere(self) -> LightTable:
+        """The same lights, picked with the same probabilities at every place."""
+        table = copy.copy(self)
+        table.groups = None
         return table
 
     def left_by_pick(self, u: mi.Float) -> mi.Float:
@@ -233,6 +249,30 @@ class LightTable:
 _KINDS = ("area", "point", "infinite", "beam")
 
 
+def shares(power: Array, lit: NDArray[np.bool_], infinite: NDArray[np.bool_]) -> Array:
+    """Probabilities of emitters, (count,): by power among the finite ones, and among the infinite ones.
+
+    The power of an infinite emitter is that through the scene's bounding sphere. It grows with ground that nobody sees,
+    so it says nothing about the light beside that of a lamp: n infinite emitters together have the share n / (n + 1),
+    as in pbrt. An emitter that is ``lit`` has at least :data:`_LEAST_SHARE` of an equal share, before normalisation.
+    """
+    count = int((lit & infinite).sum())
+    both = 0 < count < lit.sum()
+    result = np.zeros(len(power))
+    for group, share in ((lit & infinite, count / (count + 1)), (lit & ~infinite, 1 / (count + 1))):
+        total = power[group].sum()
+        result[group] = (share if both else 1.0) * (power[group] / total if total > 0.0 else 1.0)
+    result = np.where(lit, np.maximum(result, _LEAST_SHARE / max(lit.sum(), 1)), 0.0)
+    normalised: Array = result / result.sum()
+    return normalised
+
+
+def _is_lit(row: _Row, emitter: mi.Emitter) -> bool:
+    """Whether an emitter may give light to a picture. A weight of 0 keeps Mitsuba from sampling an emitter, so that one
+    that no ray can hit gives none."""
+    return (row.weight > 0.0 or not row.is_delta) and (row.power > 0.0 or not is_black(emitter))
+
+
 def _in_steps(probability: Array) -> Array:
     """Probabilities as multiples of 2^-23 whose sum is one."""
     steps = np.where(probability > 0.0, 1.0, 0.0)
@@ -253,6 +293,7 @@ class _Row:
     name: str
     kind: str
     power: float
+    weight: float  #: ``sampling_weight`` of the emitter
     area_density: float
     direction_density: float = 0.0
     is_delta: bool = False
@@ -261,27 +302,51 @@ class _Row:
     cells: RadianceCells | None = None  #: of an area light whose radiance varies
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical light
 
+    def lamp(self, emitter: mi.Emitter) -> Lamp:
+        """What the light shines at a place."""
+        if self.kind == "infinite":
+            return Lamp(self.power * self.area_density, is_infinite=True)
+        if self.kind == "point":
+            values = mi.traverse(emitter)
+            if "to_world" not in values:
+                return Lamp(self.power, as_array(values["position"]).ravel().tolist())
+            place = np.asarray(values["to_world"].matrix, np.float64).reshape(4, 4)
+            axis, cosine = place[:3, 2] / np.linalg.norm(place[:3, 2]), 1.0 - 0.5 / (np.pi * self.direction_density)
+            even = 4.0 * np.pi * self.direction_density
+            return Lamp(self.power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
+        shape = emitter.get_shape()
+        box = shape.bbox()
+        low, high = (np.asarray(corner, np.float64).ravel() for corner in (box.min, box.max))
+        centre, extent = (0.5 * (low + high)).tolist(), 0.5 * float(np.linalg.norm(high - low))
+        if self.kind == "area" and plugin_name(shape) in ("rectangle", "disk"):
+            normal = np.asarray(shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n, np.float64).ravel()
+            return Lamp(self.power, centre, extent, normal.tolist(), 0.0, 4.0, 0.0)
+        return Lamp(0.0 if self.kind == "beam" else self.power, centre, extent)
+
 
 def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
     flags = emitter.flags()
     name = emitter.id() or emitter.class_name()
+    weight = emitter.sampling_weight()
     one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
-        return _Row(name, "infinite", _power(emitter), 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
+        return _Row(name, "infinite", _power(emitter), weight, 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         projects = "irradiance" in mi.traverse(emitter)
-        return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True, is_projector=projects)
+        density = _cone_density(emitter)
+        return _Row(name, "point", _power(emitter), weight, 1.0, density, is_delta=True, is_projector=projects)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
         raise SceneError(f"area emitter '{name}' is on a shape without area; remove it or repair the shape")
     if one_direction:
-        return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
+        return _Row(name, "beam", _power(emitter), weight, 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
     cells = measure(emitter) if has_cells(emitter) else None
     radiance = cells.mean if cells else _radiance(emitter)
     # Focus keeps the power and increases the radiance along the normal.
     power = np.pi * area * radiance / (0.5 * exponent + 1.0)
-    return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells, sphere=_sphere(emitter.get_shape()))
+    sphere = _sphere(emitter.get_shape())
+    return _Row(name, "area", power, weight, 1.0 / area, exponent=exponent, cells=cells, sphere=sphere)
 
 
 def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:

@@ -32,7 +32,7 @@ class LightPath(BidirectionalPath):
     stored: mi.UInt32  #: vertices stored so far
     kind: mi.UInt32  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: mi.Bool  #: whether the edge being traced leaves an infinite light
-    light: mi.UInt32 | None  #: number of the light that the path left; None where no light is spherical
+    light: mi.UInt32 | None  #: number of the light that the path left; None where next event samples it alike
     waiting: mi.Float | None  #: area density that :meth:`Mis.lit` corrects at the end of the first edge; 0 after it
     nonfinite: mi.UInt32
     found: mi.Float | None  #: contributions by splats so far, for a guide of emission; None without
@@ -71,8 +71,10 @@ class LightWalk(BidirectionalWalk):
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
-        # Next event samples spherical lights by solid angle, with a density that depends on the end of the first edge.
-        waits = self.lights.has_sphere and self.mis.techniques.next_event > 0
+        # Next event picks lights by the place that they light, and samples spherical ones by solid angle: its density
+        # depends on the end of the first edge.
+        depends = self.lights.has_sphere or self.lights.groups is not None
+        waits = depends and self.mis.techniques.next_event > 0
         return self.kind(
             **own,
             active=emitted.active & (self.max_edges > 1),
@@ -93,8 +95,8 @@ class LightWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
-            # Learned emission gives little flux to the paths that contribute most.
-            flux=dr.sum(emitted.throughput) / 3.0 if self.lights.is_learned or self.departures is not None else None,
+            # Paths from lights that are picked more often than by power have little flux, but contribute as much.
+            flux=None if self.lights.has_even_flux and self.departures is None else dr.sum(emitted.throughput) / 3.0,
         )
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
@@ -139,10 +141,13 @@ class LightWalk(BidirectionalWalk):
             distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
         d_vcm = s.d_vcm
         if s.waiting is not None:
-            light = self.lights.row(s.light, s.active & (s.waiting > 0.0))
-            waiting = dr.select(s.waiting > 0.0, s.waiting, 1.0)
-            density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, waiting)
-            d_vcm = self.mis.lit(d_vcm, dr.select(s.waiting > 0.0, density / waiting, 1.0))
+            waits = s.active & (s.waiting > 0.0)
+            light = self.lights.at(vertex.position).row(s.light, waits)
+            waiting = dr.select(waits, s.waiting, 1.0)
+            density = waiting * light.pick / dr.select(waits, self.lights.row(s.light, waits).pick, 1.0)
+            if self.lights.has_sphere:
+                density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, density)
+            d_vcm = self.mis.lit(d_vcm, dr.select(waits, density / waiting, 1.0))
         s.d_vcm, s.d_vc = self.mis.hit(d_vcm, s.d_vc, distance_squared, light_cos)
         return on_edge, light_cos
 

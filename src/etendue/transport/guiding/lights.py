@@ -1,13 +1,11 @@
 """Probabilities of light selection, learned for each cell of the scene.
 
-The light table selects lights by power, which is inefficient in cells where a strong light is occluded or far away.
-Here each cell selects a light with probability proportional to the contribution of its light points in the cell, mixed
-with selection by power.
+The light table selects lights by the place that they light, as if nothing were in between, which is inefficient in
+cells where a strong light is occluded. Here each cell selects a light with probability proportional to the contribution
+of its light points in the cell, mixed with the selection by place.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -15,59 +13,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import copied_to_device
-from etendue.scene import Light, LightTable
+from etendue.scene import LightsAt, LightTable
 
 #: Most lights of a scene for which selection is learned; each light costs one table lookup per sample.
 MOST_LIGHTS = 16
-#: Probability with which a light is selected by power.
-_BY_POWER = 0.2
+#: Probability with which a light is selected by place.
+_BY_PLACE = 0.2
 
 
-@dataclass
-class LocalLights:
-    """A light table with the selection probabilities of a cell, one cell per lane."""
+class LocalLights(LightsAt):
+    """A light table with the selection probabilities of a cell and a place, one of each per lane.
 
-    table: LightTable
-    probability: mi.Float  #: (cells * lights) on the device
-    cell: mi.UInt32  #: cell of each lane
+    shares: (cells * lights) on the device, learned probabilities times that of a learned selection; zero for all lights
+        of a cell where nothing has been learned.
+    """
 
-    def __post_init__(self) -> None:
-        table = self.table
-        self.has_area, self.has_point = table.has_area, table.has_point
-        self.has_infinite, self.has_beam = table.has_infinite, table.has_beam
-        self.points, self.has_sphere, self.has_smooth = table.points, table.has_sphere, table.has_smooth
+    def __init__(self, table: LightTable, shares: mi.Float, cell: mi.UInt32, p: mi.Point3f | None = None) -> None:
+        super().__init__(table, p)
+        self._shares, self._cell = shares, cell
 
-    def _chance(self, row: mi.UInt32 | int, active: mi.Bool | bool) -> mi.Float:
-        return dr.gather(mi.Float, self.probability, self.cell * self.table.count + row, active)
+    def at(self, p: mi.Point3f) -> LocalLights:
+        """These lights at a place."""
+        return LocalLights(self.table, self._shares, self._cell, p)
 
-    def pick(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
-        """As :meth:`LightTable.pick`, with the cell's probabilities."""
+    def _learned(self, active: mi.Bool | bool) -> list[mi.Float]:
+        """Learned part of the probabilities of all lights."""
+        count = self.table.count
+        return [dr.gather(mi.Float, self._shares, self._cell * count + row, active) for row in range(count)]
+
+    def chance(self, row: mi.UInt32, active: mi.Bool | bool = True) -> mi.Float:
+        """See :class:`LightsAt`."""
+        learned, own = self._learned(active), mi.Float(0.0)
+        for number, share in enumerate(learned):
+            own = dr.select(row == number, share, own)
+        return own + (1.0 - sum(learned)) * super().chance(row, active)
+
+    def drawn(self, u: mi.Float, active: mi.Bool | bool = True) -> mi.UInt32:
+        """See :class:`LightsAt`."""
+        learned = self._learned(active)
         row, below = mi.UInt32(0), mi.Float(0.0)
-        for number in range(self.table.count - 1):
-            below = below + self._chance(number, active)
-            row = dr.select(u >= below, mi.UInt32(number + 1), row)
-        return self._local(self.table.row(row, active), active)
-
-    def of(self, emitter: mi.EmitterPtr, active: mi.Bool | bool = True) -> Light:
-        """As :meth:`LightTable.of`."""
-        return self._local(self.table.of(emitter, active), active)
-
-    def _local(self, light: Light, active: mi.Bool | bool) -> Light:
-        light.pick = self._chance(light.row, active)
-        return light
+        for number, share in enumerate(learned):
+            row = dr.select(u >= below, mi.UInt32(number), row)
+            below = below + share
+        rest = dr.clip((u - below) / dr.maximum(1.0 - below, 1e-6), 0.0, 1.0 - 2.0**-24)
+        return dr.select(u >= below, super().drawn(rest, active), row)
 
 
 class LightChoice:
-    """Selection probabilities of the lights in each of ``cells`` cells; by power before the first training."""
+    """Selection probabilities of the lights in each of ``cells`` cells; by place before the first training."""
 
     def __init__(self, lights: LightTable, cells: int) -> None:
         self._lights = lights
-        self.shares = np.tile(lights.probabilities, (cells, 1))
+        self.shares = np.zeros((cells, lights.count))
         self._upload()
 
     def _upload(self) -> None:
-        mixed = (1.0 - _BY_POWER) * self.shares + _BY_POWER * self._lights.probabilities
-        self._probability = copied_to_device(mi.Float, mixed.astype(np.float32))
+        self._probability = copied_to_device(mi.Float, ((1.0 - _BY_PLACE) * self.shares).astype(np.float32))
 
     def at(self, cell: mi.UInt32) -> LocalLights:
         """The lights with the probabilities of cells."""
@@ -81,6 +82,7 @@ class LightChoice:
         self.restore(shares[origin])
 
     def restore(self, shares: NDArray[np.float64]) -> None:
-        """Set the learned probabilities, (cells, lights), before selection by power is mixed in."""
+        """Set the learned probabilities, (cells, lights), before selection by place is mixed in; zero where nothing has
+        been learned."""
         self.shares = np.array(shares, np.float64)
         self._upload()

@@ -9,10 +9,9 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from etendue.scene import Light, LightTable, front, graph, has_cells, is_smooth, surface_point, uniform_point
+from etendue.scene import Light, LightsAt, LightTable, front, graph, has_cells, is_smooth, surface_point, uniform_point
 
 from ..guiding.departure import Departures
-from ..guiding.lights import LocalLights
 
 
 def point_on(
@@ -36,7 +35,7 @@ def point_on(
 
 
 def place_on(
-    lights: LightTable | LocalLights, light: Light, chance: mi.Float, u: mi.Point2f, mask: mi.Bool
+    lights: LightTable | LightsAt, light: Light, chance: mi.Float, u: mi.Point2f, mask: mi.Bool
 ) -> tuple[mi.Point2f, mi.UInt32, mi.Float]:
     """The point of an area light that ``u`` selects: (place, triangle, area density times the light's probability
     ``chance``)."""
@@ -89,7 +88,7 @@ def is_sphere(emitter: mi.Emitter) -> bool:
 
 
 def area_density_on(
-    lights: LightTable | LocalLights,
+    lights: LightTable | LightsAt,
     light: Light,
     chance: mi.Float,
     uv: mi.Point2f,
