@@ -15,15 +15,18 @@ from etendue.transport import Places, Walker, first_smooth
 
 from .base import ImageMethod
 
-#: The radius in widths of a pixel if the setting is 0.
-AUTOMATIC = 1.5
+#: The radius in widths of a pixel if the setting is 0, in a picture of so many pixels, and the exponent by which it
+#: grows with their number. The best radius of a density estimate of N points in the plane falls with N^(1/6) [Silverman 1986,
+#: sec. 4.3]. Light paths are as many as pixels, so that it grows with the cube root of their number, in widths of a
+#: pixel; half the exponent bounds the time, which merging takes by photons in the disc.
+_PIXELS, _PICTURE, _GROWTH = 1.75, 64 * 64, 1.0 / 6.0
 #: Names of the units; see :func:`first_radius`.
 UNITS = ("scene", "pixel", "absolute")
 UNIT_DOC = (
     "unit of a given radius: half the diagonal of the scene's bounding box (scene), the width of a pixel at the "
     "distance of the surface from the camera (pixel), or scene units (absolute)"
 )
-RADIUS_DOC = f"0: {AUTOMATIC:g} widths of a pixel at the distance of the surface from the camera"
+RADIUS_DOC = "0: about two widths of a pixel at the distance of the surface from the camera"
 #: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
 #: Share of the pixels that may see something nearer than the distance below which the radius is constant.
@@ -82,7 +85,7 @@ def first_radius(method: ImageMethod, radius: float, unit: str) -> FirstRadius:
         size = method.problem.space.scale if unit == "absolute" else half_diagonal(method)
         first, median = FirstRadius(radius * size), radius * size
     else:
-        wanted = (radius or AUTOMATIC) * pixel
+        wanted = (radius or _PIXELS * (method.camera.pixels / _PICTURE) ** _GROWTH) * pixel
         first, median = FirstRadius(wanted), wanted
         if distances is not None:
             middle = float(np.median(distances))
