@@ -16,10 +16,10 @@ from etendue.transport import Places, Walker, first_smooth
 from .base import ImageMethod
 
 #: The radius in widths of a pixel if the setting is 0, in a picture of so many pixels, and the exponent by which it
-#: grows with their number. The best radius of a density estimate of N points in the plane falls with N^(1/6) [Silverman 1986,
-#: sec. 4.3]. Light paths are as many as pixels, so that it grows with the cube root of their number, in widths of a
-#: pixel; half the exponent bounds the time, which merging takes by photons in the disc.
-_PIXELS, _PICTURE, _GROWTH = 1.75, 64 * 64, 1.0 / 6.0
+#: grows with their number. The best radius of a density estimate of N points in the plane falls with N^(1/6)
+#: [Silverman 1986, sec. 4.3]. Light paths are as many as pixels, so that in widths of a pixel it grows with the cube
+#: root of their number. A quarter of this exponent bounds the time, which grows with the photons in the disc.
+_PIXELS, _PICTURE, _GROWTH = 1.75, 64 * 64, 1.0 / 12.0
 #: Names of the units; see :func:`first_radius`.
 UNITS = ("scene", "pixel", "absolute")
 UNIT_DOC = (
