@@ -56,15 +56,7 @@ from etendue.transport import (
 
 from . import base
 from . import radius as radii
-from .base import (
-    PILOT_PATHS,
-    ImageMethod,
-    ImageSettings,
-    Lanes,
-    Layer,
-    total,
-    with_image,
-)
+from .base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
 from .store import Group, VertexRoom, check_pyramid, concatenated
 
@@ -316,6 +308,8 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
+        if run.role and gather and self.settings.connecting:
+            self._discs = radii.bounded(self, self._discs, gather, paths / self._paths)
         s = self.settings
         layers = CameraSink(
             pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii
