@@ -30,6 +30,15 @@ def _mean(problem, name, **settings):
     return Replica(method, 0).step(0).mean()
 
 
+@pytest.mark.parametrize("name", ["path", "light", "bpt"])
+def test_a_ball_that_emits_inwards_is_black_from_outside(name):
+    """Also at its rim, where the surface that faces the camera is just behind the other one."""
+    ball = {"type": "sphere", "flip_normals": True, "bsdf": {"type": "conductor"}}
+    problem = _scene(ball=ball | {"emitter": {"type": "area", "radiance": 1.0}})
+    settings = {"light_paths": 64.0} if name == "light" else {}
+    assert _mean(problem, name, **settings).max() == 0.0
+
+
 @pytest.mark.parametrize("name", ["path", "pm", "ppm", "sppm", "bpt", "bpm", "vcm"])
 def test_no_surface_to_store_a_vertex_on(name):
     """Only a lamp: no light path ever hits a surface that can be connected to."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import mitsuba as mi
 import numpy as np
 import pytest
 from support import scenes
@@ -140,10 +143,83 @@ def test_radius_units():
     assert prepared(problem, "vcm", radius=2.0, radius_unit="pixel").radius(0) == pytest.approx(2 * pixel, rel=0.1)
 
 
+def still_life(ground: float = 2.0, sensor: Any = None, **more: Any) -> Any:
+    """A cube under a lamp, on a ground of any size."""
+    t = scenes.transform()
+    return scenes.load(
+        {
+            "type": "scene",
+            "sensor": sensor or scenes.camera((0.0, 1.5, 4.0), (0.0, 0.2, 0.0), 30.0, size=(32, 32)),
+            "ground": {
+                "type": "rectangle",
+                "to_world": t.rotate([1, 0, 0], -90).scale(ground),
+                "bsdf": scenes.diffuse(0.6, 0.5, 0.4),
+            },
+            "cube": {"type": "cube", "to_world": t.translate([0.7, 0.2, 0]).scale(0.2)},
+            "lamp": scenes.lamp([0, 3, 0], 0.5, 10.0),
+        }
+        | more
+    )
+
+
+def radius_at(method: Any, *point: float) -> float:
+    """Radius of the first pass at a point."""
+    share = method._discs.share(mi.Point3f(*point))
+    return float(method._discs.largest * np.sqrt(np.array(share).ravel()[0]) / method.problem.space.scale)
+
+
+@pytest.mark.parametrize("name", ["vcm", "bpm", "sppm", "ppm"])
+def test_the_radius_follows_what_pixels_see(name):
+    """Not the size of the scene, nor anything far away, in view or not."""
+    near = [0.0, 0.0, 0.0]
+    pixel = 2.0 * np.tan(np.deg2rad(15.0)) / 32 * np.hypot(4.0, 1.5)
+    expected = 1.75 * (32 * 32 / 64**2) ** (1 / 12) * pixel
+    speck = {"type": "sphere", "center": [0, 900, 900], "radius": 1.0}
+    for problem in (still_life(2.0), still_life(20.0), still_life(200.0), still_life(2.0, speck=speck)):
+        assert radius_at(prepared(problem, name), *near) == pytest.approx(expected, rel=0.15)
+    assert radius_at(prepared(still_life(200.0), name), 0.0, 0.0, 2.0) < 0.7 * expected
+    twice = prepared(still_life(20.0), name, radius=2.0, radius_unit="pixel")
+    assert radius_at(twice, *near) == pytest.approx(2.0 * pixel, rel=0.15)
+
+
+def test_the_radius_behind_mirrors_and_glass():
+    """Of a pane before the lens and of a ball that fills the view, nothing depends on the distance."""
+    t = scenes.transform()
+    pane = {"type": "rectangle", "to_world": t.translate([0, 1.4, 3.7]).scale(0.2), "bsdf": {"type": "thindielectric"}}
+    glass = {"type": "sphere", "center": [0.0, 1.5, 4.0], "radius": 0.05, "bsdf": {"type": "dielectric"}}
+    plain = prepared(still_life(), "vcm")
+    for more in ({"pane": pane}, {"glass": glass}):
+        behind = prepared(still_life(**more), "vcm")
+        assert radius_at(behind, 0, 0, 0) == pytest.approx(radius_at(plain, 0, 0, 0), rel=0.2)
+        assert behind.radius(0) == pytest.approx(plain.radius(0), rel=0.5)
+
+
+def test_the_radius_of_parallel_and_of_spherical_rays():
+    size = {"size": (32, 16)}
+    problem = still_life(200.0, sensor=scenes.camera(sensor="orthographic", **size))
+    method = prepared(problem, "vcm")
+    assert radius_at(method, 0, 0, 0) == radius_at(method, 0, 0, -100)
+    noted = method.develop(method.step(0, 1)).metadata["merge_radius"]
+    assert noted["scene_units"] == pytest.approx(radius_at(method, 0, 0, 0), rel=1e-3)
+    around = prepared(still_life(200.0, sensor=scenes.camera(sensor="spherical", **size)), "vcm")
+    pixel = np.sqrt(2.0 * np.pi**2 / (32 * 16))  # wide at the equator and at distance 1
+    assert 0.5 * pixel < radius_at(around, 0, 0, 0) / np.linalg.norm([0.2, 1.0, 1.0]) < 2.0 * pixel
+
+
+@pytest.mark.parametrize("name", ["vcm", "sppm", "pm", "auto", "vegas"])
+def test_the_radius_is_in_the_metadata(name):
+    settings = {"maps": 1} if name == "vegas" else {}
+    method = prepared(still_life(), name, samples_per_pass=1, **settings)
+    noted = method.develop(method.step(0, 1)).metadata["merge_radius"]
+    pixel = 2.0 * np.tan(np.deg2rad(15.0)) / 32 * np.hypot(4.0, 1.5)
+    assert noted["scene_units"] / noted["pixels"] == pytest.approx(pixel, rel=0.2)
+    if name != "pm":
+        assert noted["pixels"] == pytest.approx(1.75 * (32 * 32 / 64**2) ** (1 / 12), rel=0.01)
+
+
 @pytest.mark.parametrize(
     "settings",
     [
-        {"radius": 0},
         {"radius": -0.1},
         {"radius": "wide"},
         {"radius": float("nan")},
@@ -172,7 +248,7 @@ def test_bad_settings_are_refused(settings):
 @pytest.mark.parametrize(
     ("method", "settings"),
     [
-        ("sppm", {"radius": 0}),
+        ("sppm", {"radius": -1}),
         ("sppm", {"alpha": 0}),
         ("sppm", {"alpha": 1.01}),
         ("ppm", {"light_paths": 0}),

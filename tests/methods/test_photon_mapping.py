@@ -46,6 +46,28 @@ def near(images: np.ndarray, reference: np.ndarray, bias: float, what: Any = "")
     assert (np.abs(difference) < bias * expected + 4.0 * error).all(), f"{what}: off by {difference / expected}"
 
 
+#: Rough materials that keep all light and scatter it into a narrow peak.
+PEAKS: dict[str, dict[str, Any]] = {
+    "conductor 0": {"type": "roughconductor", "material": "none", "alpha": 0.0},
+    "conductor": {"type": "roughconductor", "material": "none", "alpha": 0.002},
+    "dielectric": {"type": "roughdielectric", "alpha": 0.001},
+}
+
+
+@pytest.mark.parametrize("name", thinned(PEAKS, ["conductor 0", "dielectric"]))
+@pytest.mark.parametrize("method", ["sppm", "pm"])
+def test_nearly_smooth_materials_lose_no_light(method, name):
+    """A ball inside a lamp that reflects half of its own light: twice the lamp's radiance in every direction. No photon
+    arrives in the peak of the ball's material."""
+    ball = {"type": "sphere", "center": [-0.3, 0.25, -0.2], "radius": 0.25, "bsdf": PEAKS[name]}
+    settings = {"photons": PHOTONS} if method == "pm" else {}
+    made = run(scenes.furnace("sphere", 1.0, 0.5, ball=ball), method, passes=6, samples=32, **settings)
+    means = made.images.mean(axis=(1, 2, 3))
+    assert means.std(ddof=1) < 0.02 * means.mean()
+    assert means.mean() == pytest.approx(2.0, rel=0.015)
+    assert np.abs(made.mean - 2.0).max() < 0.2
+
+
 # ---------------------------------------------------------------------------------------------------- progressive
 
 

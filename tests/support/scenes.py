@@ -325,9 +325,11 @@ def lamp(centre: Any, side: float, radiance: float) -> Dict:
 # ---------------------------------------------------------------------------------------------------- closed forms
 
 
-def furnace(shape: str, radiance: float, albedo: float, size: tuple[int, int] = (8, 8), plate: bool = False) -> Problem:
+def furnace(
+    shape: str, radiance: float, albedo: float, size: tuple[int, int] = (8, 8), plate: bool = False, **things: Dict
+) -> Problem:
     """Inside a closed surface that emits ``radiance`` and reflects ``albedo``: L / (1 - albedo) everywhere. With a null
-    ``plate`` through the middle, too."""
+    ``plate`` through the middle, too, and with ``things`` that keep all light."""
     body: Dict = {"bsdf": diffuse(albedo, albedo, albedo), "emitter": _area(radiance, radiance, radiance)}
     scene: Dict = {"type": "scene", "sensor": camera((0.2, 0.1, 0.3), (-0.5, 0.3, -0.4), 70.0, size=size)}
     if shape == "sphere":
@@ -336,7 +338,7 @@ def furnace(shape: str, radiance: float, albedo: float, size: tuple[int, int] = 
         scene["body"] = {"type": "cube", "flip_normals": True} | body
     if plate:
         scene["plate"] = {"type": "disk", "to_world": transform().scale(0.95), "bsdf": {"type": "null"}}
-    return load(scene)
+    return load(scene | things)
 
 
 def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8)) -> Problem:

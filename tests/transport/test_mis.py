@@ -32,10 +32,17 @@ Key = tuple[str, int]
 
 class Paths:
     """Random paths of ``k`` edges, ``COPIES`` for each pattern of specular inner vertices, one lane each. ``chooses``:
-    connections prefer some light vertices."""
+    connections prefer some light vertices; ``varies``: the merging disc differs from vertex to vertex."""
 
     def __init__(
-        self, k: int, light: str, seed: int = 1, splattable: bool = True, pick: float = 0.3, chooses: bool = False
+        self,
+        k: int,
+        light: str,
+        seed: int = 1,
+        splattable: bool = True,
+        pick: float = 0.3,
+        chooses: bool = False,
+        varies: bool = False,
     ) -> None:
         random = np.random.default_rng(seed + 100 * k + 7 * LIGHTS.index(light))
         self.k, self.light, self.splattable = k, light, splattable
@@ -74,6 +81,9 @@ class Paths:
         self.chooses = chooses
         #: Of edge j: the probability of x_j as a light vertex for x_{j+1}, over that of a uniform choice.
         self.ratio = draw(0.2, 20.0, k) if chooses else np.ones((k, self.lanes))
+        self.varies = varies
+        #: Area of the merging disc at x_j, relative to the largest.
+        self.share = draw(0.01, 1.0, k) if varies else np.ones((k, self.lanes))
 
     def is_specular(self, j: int) -> np.ndarray:
         return self.specular[:, j - 1]
@@ -123,7 +133,7 @@ class Paths:
         if t.merge:
             for j in range(2 if t.leaves_direct else 1, k if t.merge_first else k - 1):
                 merges = self.smooth(j) & ((self.cos_in[j] >= GRAZING) | (not t.connects))
-                result["merge", j] = merges * eta * self.light_density(j) * self.camera_density(j)
+                result["merge", j] = merges * eta * self.share[j] * self.light_density(j) * self.camera_density(j)
         if ("emission", 0) not in result:  # without connecting: what nothing else can make
             result["emission", 0] = np.where(sum(result.values(), np.zeros(self.lanes)) > 0.0, 0.0, hits)
         return result
@@ -150,6 +160,7 @@ class Paths:
         ``more`` radii in the same walk. With ``candidates``, their ratios: (candidates, lanes)."""
         k = self.k
         mis = Mis(t, [mi.Float(value) for value in (*more, eta)], mi.Float(light_paths), list(candidates))
+        here = [mis.at(share if self.varies else None) for share in _floats(self.share)]
         delta = mi.Bool(self.light == "delta")
         d2, cos_in, cos_out = (_floats(v) for v in (self.d2, self.cos_in, self.cos_out))
         forward, reverse = _floats(self.forward), _floats(self.reverse)
@@ -165,7 +176,7 @@ class Paths:
             distance = mi.Float(1.0) if j == 1 and self.light == "infinite" else d2[j - 1]
             state = mis.hit(*state, distance, cos_in[j])
             state = light[j] = mis.chosen(state[0], chances[j - 1] if j > 1 and self.chooses else None), state[1]
-            state = mis.scatter_light(
+            state = here[j].scatter_light(
                 *state, cos_in[j], cos_out[j], forward[j], reverse[j], on_device(mi.Bool, self.is_specular(j)), first(j)
             )
 
@@ -180,8 +191,8 @@ class Paths:
             state = camera[j] = mis.joined(depth(k, j), state[0], chosen), state[1]
             specular = on_device(mi.Bool, self.is_specular(j))
             if left is not None:
-                left = mis.left_out(depth(k, j), state[0], cos_in[j], reverse[j], specular)
-            state = mis.scatter_camera(depth(k, j), *state, cos_in[j], reverse[j], forward[j], specular)
+                left = here[j].left_out(depth(k, j), state[0], cos_in[j], reverse[j], specular)
+            state = here[j].scatter_camera(depth(k, j), *state, cos_in[j], reverse[j], forward[j], specular)
         if self.light != "infinite":
             state = mis.hit(*state, d2[0], cos_out[0])
 
@@ -196,13 +207,13 @@ class Paths:
                         pdf = pdf * d2[0] / cos_light
                     ratio = emit * cos_in[1] / (pdf * cos_light)
                     hit = mi.Float(0.0) if self.light == "delta" else reverse[1]
-                    weight = mis.next_event_weight(depth(k, 1), *camera[1], cos_in[1], hit, forward[1], pdf, ratio)
+                    weight = here[1].next_event_weight(depth(k, 1), *camera[1], cos_in[1], hit, forward[1], pdf, ratio)
                 case "connection":
                     to_light = reverse[j + 1] * cos_out[j] / d2[j]
                     to_camera = forward[j] * cos_in[j + 1] / d2[j]
                     ends = camera[j + 1], light[j]
                     cosines = cos_in[j + 1], cos_in[j]
-                    weight = mis.connection_weight(
+                    weight = here[j + 1].connection_weight(
                         depth(k, j + 1),
                         *ends,
                         *cosines,
@@ -212,11 +223,12 @@ class Paths:
                         reverse[j],
                         chances[j] if self.chooses else None,
                         first(j),
+                        here[j],
                     )
                 case "splat":
-                    weight = mis.splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
+                    weight = here[j].splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
                 case _:
-                    weight = mis.merge_weight(camera[j], light[j], reverse[j], forward[j])
+                    weight = here[j].merge_weight(camera[j], light[j], reverse[j], forward[j])
             weights[family, j] = weight.ratios if candidates else weight[-1]
         dr.eval(weights)
         if candidates:
@@ -296,6 +308,8 @@ def test_weights_are_those_of_the_definition(name, light, beta):
     assert sum(check(Paths(k, light), techniques) for k in (1, 2, 3, 4, 5)) > 0
     if techniques.connection:
         assert sum(check(Paths(k, light, chooses=True), techniques) for k in (3, 4, 5)) > 0
+    if techniques.merge:
+        assert sum(check(Paths(k, light, varies=True), techniques) for k in (2, 3, 4, 5)) > 0
 
 
 @pytest.mark.parametrize("beta", [1, 2])
@@ -311,7 +325,9 @@ def test_several_radii_in_one_walk(name, light, beta):
     """The recursion without a radius, filled in last, gives the same weights."""
     techniques = dataclasses.replace(TABLE[name], beta=beta)
     chooses = bool(techniques.connection)
-    assert sum(check(Paths(k, light, chooses=chooses), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
+    assert (
+        sum(check(Paths(k, light, chooses=chooses, varies=True), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
+    )
 
 
 #: Connections, eta and light paths.
@@ -326,7 +342,7 @@ def test_denominators_for_other_counts(name, light, beta):
     candidates = [Counts(float(n), float(k), e) for k, e, n in OTHER_COUNTS]
     checked = 0
     for k in (2, 3, 4):
-        paths = Paths(k, light, chooses=bool(t.connection))
+        paths = Paths(k, light, chooses=bool(t.connection), varies=True)
         used = paths.products(t, eta, light_paths)
         total = sum(product**beta for product in used.values())
         ratios = paths.computed(used, t, eta, light_paths, candidates=candidates)

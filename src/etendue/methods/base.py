@@ -158,6 +158,7 @@ class ImageMethod(ABC):
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
+        self.notes: dict[str, Any] = {}  #: for the metadata of pictures, found by ``prepare``
 
     @classmethod
     def plugin_name(cls) -> str:
@@ -248,7 +249,7 @@ class ImageMethod(ABC):
         """Mean over the passes, layer by layer. With ``aovs`` and two passes, the variance of this mean is a layer."""
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = {name: measurement.mean(name).astype(np.float32) for name in names}
-        metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()}
+        metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()} | self.notes
         layers, metadata = layers | self._shapes[0], metadata | self._shapes[1]
         if self.settings.aovs and len(measurement.iterations) > 1:
             layers["variance"] = measurement.variance_of_mean().astype(np.float32)

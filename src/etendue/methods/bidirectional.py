@@ -56,15 +56,7 @@ from etendue.transport import (
 
 from . import base
 from . import radius as radii
-from .base import (
-    PILOT_PATHS,
-    ImageMethod,
-    ImageSettings,
-    Lanes,
-    Layer,
-    total,
-    with_image,
-)
+from .base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
 from .store import Group, VertexRoom, check_pyramid, concatenated
 
@@ -124,7 +116,7 @@ class Bidirectional(Carrying, ImageMethod):
         if s.guide_connections and self.techniques.connection and s.light_source == "cache":
             self._choosing = LearnedConnections(*self._box, problem.size)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
-        self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
+        self._discs = radii.first_radius(self, s.radius, s.radius_unit) if s.merging else radii.FirstRadius(0.0)
         kinds = bool(self.techniques.connection), self.techniques.merge
         linear = bool(self._more_radii) or self.light_stride > 0
         bytes_per_vertex = LightVertices.bytes_per_vertex(*kinds, linear, bool(self._learning), bool(self._choosing))
@@ -170,7 +162,7 @@ class Bidirectional(Carrying, ImageMethod):
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
         films = splats, None, 64 * paths, self.moments
-        run = Group("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, *films)
+        run = Group("pilot ", 0, seed, self._discs.largest, Lanes(0, paths), lanes, pixel, 1, *films)
         radiance, counters = self._trace(run)
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
@@ -219,8 +211,9 @@ class Bidirectional(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def radius(self, iteration: int) -> float:
-        """Merge radius of a pass (from 0), render space [Georgiev 2012, eq. 10], before learned emission shrinks it."""
-        return radii.reduced(self._first_radius, iteration, self.settings.alpha, self.samples_per_iteration)
+        """Largest merge radius of a pass, from 0, render space [Georgiev 2012, eq. 10], before learned emission shrinks
+        it."""
+        return radii.reduced(self._discs.largest, iteration, self.settings.alpha, self.samples_per_iteration)
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
@@ -284,6 +277,7 @@ class Bidirectional(Carrying, ImageMethod):
         mis = self._mis(run.radius, paths, run.moments)
         dark = dr.opaque(mi.Float, self._dark)
         common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
+        common["places"] = self._discs.places
         if self._learning:
             common |= self._learning.fields(not run.role, run.light.first)
         connecting = self.techniques.connection > 0
@@ -314,6 +308,8 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
+        if run.role and gather and self.settings.connecting:
+            self._discs = radii.bounded(self, self._discs, gather, paths / self._paths)
         s = self.settings
         layers = CameraSink(
             pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii

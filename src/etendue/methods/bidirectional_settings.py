@@ -51,7 +51,9 @@ class BidirectionalSettings(CameraSettings):
         choices=("auto", "all", "next_event"),
     )
     light_paths: float = setting(0.5, _LIGHT_PATHS, above=0.0, maximum=64.0)
-    radius: float = setting(0.006, "merge radius of the first pass, in the unit of radius_unit", above=0.0)
+    radius: float = setting(
+        0.0, f"merge radius of the first pass, in the unit of radius_unit; {radii.RADIUS_DOC}", minimum=0.0
+    )
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     radii: str = setting(
         "",

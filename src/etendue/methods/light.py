@@ -38,9 +38,6 @@ from etendue.transport import dimensions as dim
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
 
-#: Share of its length by which a shadow ray ends before a light.
-_SHADOW_EPSILON = 1e-3
-
 
 @dataclass(frozen=True)
 class LightSettings(ImageSettings):
@@ -145,13 +142,14 @@ class LightTracing(Carrying, ImageMethod):
         # Emitters on surfaces use the cosine only: that to the interpolated normal, which decides where a mesh emits.
         si.wi = mi.Vector3f(0.0, 0.0, dr.dot(joined.direction, si.sh_frame.n))
         cos = dr.dot(joined.direction, si.n)
-        distance = dr.norm(si.p - joined.target)
-        reach = distance * (1.0 - _SHADOW_EPSILON)
+        # From the light, because at the rim of a ball that emits inwards a ray from outside may end before its surface.
+        ray = si.spawn_ray_to(joined.target)
         if self.lights.has_infinite:
             # The density is that of a direction: no cosine, and the squared distance cancels. The shadow ray is
             # infinite, and emitters of this kind read ``wi`` as a world direction.
             cos = dr.select(light.is_infinite, dr.square(joined.distance), cos)
-            reach = dr.select(light.is_infinite, dr.inf, reach)
+            away = mi.Ray3f(joined.target, -joined.direction, dr.inf, 0.0, mi.Color0f())
+            ray = dr.select(light.is_infinite, away, ray)
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
         active = joined.active & (cos > 0.0)
         radiance = light.radiance(si, active)
@@ -159,7 +157,6 @@ class LightTracing(Carrying, ImageMethod):
         contribution = radiance * (joined.importance * cos * place.weight / density)
         active &= place.on_film & ~dr.all(contribution == 0.0)
         rays = ones(active)
-        ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
         active, transmittance = self.visibility.along(ray, crossings, active)
         contribution *= transmittance

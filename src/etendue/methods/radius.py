@@ -2,23 +2,44 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from etendue.core import IndependentSource, OptionError
 from etendue.scene import Problem
+from etendue.transport import Gather, Places, Walker, first_smooth
 
 from .base import ImageMethod
 
-#: Names of the units; see :func:`absolute_radius`.
+#: The radius in widths of a pixel if the setting is 0, in a picture of so many pixels, and the exponent by which it
+#: grows with their number. The best radius of a density estimate of N points in the plane falls with N^(1/6)
+#: [Silverman 1986, sec. 4.3]. Light paths are as many as pixels, so that in widths of a pixel it grows with the cube
+#: root of their number. A quarter of this exponent bounds the time, which grows with the photons in the disc.
+_PIXELS, _PICTURE, _GROWTH = 1.75, 64 * 64, 1.0 / 12.0
+#: Names of the units; see :func:`first_radius`.
 UNITS = ("scene", "pixel", "absolute")
 UNIT_DOC = (
-    "unit of radius: half the diagonal of the scene's bounding box (scene), the median width of a pixel on the first "
-    "surfaces that camera rays hit (pixel), or scene units (absolute)"
+    "unit of a given radius: half the diagonal of the scene's bounding box (scene), the width of a pixel at the "
+    "distance of the surface from the camera (pixel), or scene units (absolute)"
 )
+RADIUS_DOC = "0: about two widths of a pixel at the distance of the surface from the camera"
 #: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
+#: Most photons of a pass in a disc, in the mean over the pixels. Tuned on ``cornell-glass``, where merging mostly takes
+#: time, and ``water-caustic``, where it finds most of the light.
+_MOST_PHOTONS = 16.0
+#: More edges than any light path has.
+_ANY_DEPTH = (1 << 16) - 1
+#: Share of the pixels that may see something nearer than the distance below which the radius is constant.
+_NEAREST = 0.002
+#: Distance beyond which the radius is constant, at most, over the distance that a tenth of the pixels and that half of
+#: them see nearer surfaces than. The cells of the search grid are as wide as the largest radius everywhere.
+_FAR = 4.0, 2.0
 
 
 def factors(text: str) -> tuple[float, ...]:
@@ -50,33 +71,93 @@ def reduced(first: float, iteration: int, alpha: float, samples: int = 1) -> flo
     return float(first * (iteration * samples + 1) ** ((alpha - 1.0) / 2.0))
 
 
+@dataclass(frozen=True)
+class FirstRadius:
+    """The radius of the first pass."""
+
+    largest: float  #: render space
+    places: Places | None = None  #: how the radius varies; None: the same everywhere
+    #: Points that the pixels see, mask of those that are there; None if the radius is given, and not to be bounded.
+    seen: tuple[mi.Point3f, mi.Bool] | None = None
+
+    def share(self, position: mi.Point3f) -> mi.Float:
+        """Area of the disc at a position, relative to that of the largest radius."""
+        return mi.Float(1.0) if self.places is None else self.places.share(position)
+
+
+def bounded(method: ImageMethod, first: FirstRadius, gather: Gather, share: float) -> FirstRadius:
+    """An automatic radius, reduced where photons are dense: so that a disc holds :data:`_MOST_PHOTONS` of a pass in the
+    mean over the pixels. More of them take more time than their light is worth, most of which connections find as well.
+
+    ``gather``: light vertices of a pilot, in a grid for the radius ``first``; ``share``: its light paths over those of
+    a pass."""
+    if first.seen is None:
+        return first
+    point, there = first.seen
+    limit, depth = first.share(point) * first.largest**2, dr.opaque(mi.UInt32, _ANY_DEPTH)
+    count = gather.around(point, depth, lambda _, found: found + 1, mi.UInt32(0), there, limit)
+    dr.eval(count)
+    photons = float(np.array(count).sum()) / max(1, int(np.array(there).sum())) / share
+    if photons <= _MOST_PHOTONS:
+        return first
+    # In steps, so that the order of atomic additions in the pilot does not change the picture.
+    factor = 2.0 ** (round(8.0 * math.log2(_MOST_PHOTONS / photons) / 2.0) / 8.0)
+    _note(method, {name: value * factor for name, value in method.notes["merge_radius"].items()})
+    return replace(first, largest=first.largest * factor)
+
+
+def _note(method: ImageMethod, radius: Mapping[str, float]) -> None:
+    """Note a radius for the metadata of pictures."""
+    method.notes = {"merge_radius": {name: float(f"{value:.4g}") for name, value in radius.items()}}
+
+
+def first_radius(method: ImageMethod, radius: float, unit: str) -> FirstRadius:
+    """The radius of a prepared method's first pass from its settings. The one at the median distance of what the pixels
+    see is added to the method's ``notes``."""
+    pixel, distances, seen = _sight(method)
+    if radius > 0.0 and unit != "pixel":
+        size = method.problem.space.scale if unit == "absolute" else half_diagonal(method)
+        first, median = FirstRadius(radius * size), radius * size
+    else:
+        wanted = (radius or _PIXELS * (method.camera.pixels / _PICTURE) ** _GROWTH) * pixel
+        bounds = None if radius else seen
+        first, median = FirstRadius(wanted, seen=bounds), wanted
+        if distances is not None:
+            middle = float(np.median(distances))
+            least = float(np.quantile(distances, _NEAREST))
+            most = max(least, min(_FAR[0] * float(np.quantile(distances, 0.1)), _FAR[1] * middle, distances.max()))
+            places = Places(method.camera.origin, dr.opaque(mi.Float, least**2), dr.opaque(mi.Float, most**2))
+            first, median = FirstRadius(wanted * most / middle, places, bounds), wanted * min(most / middle, 1.0)
+    _note(method, {"scene_units": median / method.problem.space.scale, "pixels": median / pixel})
+    return first
+
+
+def _sight(method: ImageMethod) -> tuple[float, np.ndarray | None, tuple[mi.Point3f, mi.Bool]]:
+    """(width of a pixel on the surface that the median pixel sees, distances of these surfaces from the sensor, or None
+    if the width does not depend on them, points on them and where they are valid), render space. The surfaces are the
+    first that are not specular; the camera rays are the same for every seed."""
+    camera = method.camera
+    lanes = dr.arange(mi.UInt32, min(camera.pixels, 1 << 14))
+    source = IndependentSource(lanes, 0, "pilot camera", 0)
+    pixel = mi.UInt32(mi.Float(camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
+    ray, _, aperture = camera.primary(dr.minimum(pixel, camera.pixels - 1), source)
+    position, reached = first_smooth(method.walker(Walker, rr_depth=1 << 30), ray, source)
+    if not camera.can_splat:  # parallel rays
+        dr.eval(position, reached)
+        return float(np.array(camera.footprint(ray.o, aperture)).ravel()[0]), None, (position, reached)
+    distance, density = dr.norm(position - camera.origin), camera.density(ray, aperture)[0]
+    dr.eval(distance, density, position, reached)
+    angle = 1.0 / math.sqrt(float(np.median(np.array(density))))
+    seen = np.array(distance)[np.array(reached)]
+    if not len(seen):
+        return angle * half_diagonal(method), None, (position, reached)
+    return angle * float(np.median(seen)), seen, (position, reached)
+
+
 def half_diagonal(method: ImageMethod) -> float:
     """Half the diagonal of the bounding box of a prepared method's scene."""
     lower, upper = corners(method.problem)
     return 0.5 * float(np.linalg.norm(upper - lower))
-
-
-def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) -> float:
-    """``radius`` in units of a prepared method's render space (``Problem.space``)."""
-    match unit:
-        case "absolute":
-            return float(radius * method.problem.space.scale)
-        case "scene":
-            return float(radius * half_diagonal(method))
-    return float(radius * _pixel_footprint(method, seed))
-
-
-def _pixel_footprint(method: ImageMethod, seed: int) -> float:
-    """Median width of a pixel on the first surfaces that camera rays hit; 0.002 of the half diagonal without hits."""
-    camera = method.camera
-    lanes = dr.arange(mi.UInt32, min(camera.pixels, 1 << 14))
-    source = IndependentSource(lanes, seed, "pilot camera", 0)
-    pixel = mi.UInt32(mi.Float(camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
-    ray, _, aperture = camera.primary(dr.minimum(pixel, camera.pixels - 1), source)
-    si = method.scene.ray_intersect(ray)
-    side = np.asarray(dr.select(si.is_valid(), camera.footprint(si.p, aperture), dr.inf))
-    side = side[np.isfinite(side)]
-    return float(np.median(side)) if len(side) else 0.002 * half_diagonal(method)
 
 
 def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

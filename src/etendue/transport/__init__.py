@@ -5,12 +5,13 @@ from .bidirectional.cache import PICK_BLOCK, LightCache
 from .bidirectional.camera_walk import CameraWalk
 from .bidirectional.light_walk import LightPath, LightWalk
 from .bidirectional.linear import Counts
-from .bidirectional.mis import GRAZING, Mis, Techniques
+from .bidirectional.mis import GRAZING, Mis
 from .bidirectional.moments import TILE, Candidate, Moments
 from .bidirectional.photons import Gather, Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.single import SingleContribution, SingleTechnique
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
+from .bidirectional.techniques import Techniques
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
@@ -36,6 +37,7 @@ from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .lamps.points import point_on
+from .places import Places, first_smooth
 from .scattering import (
     Evaluated,
     Proposal,
@@ -133,6 +135,7 @@ __all__ = [
     "PathRecorder",
     "Photon",
     "Photons",
+    "Places",
     "Proposal",
     "Pyramid",
     "Scattered",
@@ -164,6 +167,7 @@ __all__ = [
     "evaluate_light_end",
     "exchanged",
     "film_picture",
+    "first_smooth",
     "geometric_cos",
     "irradiance_gradients",
     "is_emissive",

@@ -45,7 +45,9 @@ class AdaptiveSettings(EndingPathSettings):
     )
     light_paths: float = setting(1.0, "with maps: light paths per camera path", above=0.0, maximum=64.0)
     radius: float = setting(
-        0.006, "with maps: radius of density estimation in the first pass, in the unit of radius_unit", above=0.0
+        0.0,
+        f"with maps: radius of density estimation in the first pass, in the unit of radius_unit; {radii.RADIUS_DOC}",
+        minimum=0.0,
     )
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     alpha: float = setting(
@@ -79,7 +81,7 @@ class AdaptivePath(EndsInMap):
         if not o.maps:
             return
         self._box = radii.corners(problem)
-        self._first_radius = radii.absolute_radius(self, o.radius, o.radius_unit, seed)
+        self._discs = radii.first_radius(self, o.radius, o.radius_unit)
         self._tracer = PhotonTracer(self, seed)
         wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)
         self._light_paths = self._tracer.fitting(max(1, wanted))
@@ -100,7 +102,7 @@ class AdaptivePath(EndsInMap):
             return 0.0
         shot = self._tracer.shoot(iteration, seed, self._light_paths)
         positions, _, held = shot.vertices.positions()
-        radius = radii.reduced(self._first_radius, iteration, self.settings.alpha)
+        radius = radii.reduced(self._discs.largest, iteration, self.settings.alpha)
         self._maps = PhotonGrid(shot, positions, held, radius, self._box, by_kind=self.settings.components)
         self._limit = dr.opaque(mi.Float, radius * radius)
         return shot.rays
@@ -177,7 +179,8 @@ class AdaptivePath(EndsInMap):
     ) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
         """(component, reflected radiance) at a vertex by density estimation."""
         assert self._maps is not None
-        reflected, _ = self._maps.reflected(vertex, walker.max_edges - s.depth, self._limit, active)
+        limit = self._limit * self._discs.share(vertex.position)
+        reflected, _ = self._maps.reflected(vertex, walker.max_edges - s.depth, limit, active)
         return s.components_of(reflected)
 
 

@@ -31,6 +31,7 @@ from etendue.film import COMPONENTS
 from etendue.scene import LightTable, Problem, materials
 from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
+from .. import radius as radii
 from ..base import CameraSettings, ImageMethod, Layer
 from ..bidirectional import Vcm
 from ..bidirectional_settings import BidirectionalSettings
@@ -90,7 +91,10 @@ class AutoSettings(CameraSettings):
     probe_passes: int = setting(
         2, "number of passes before the first choice; more: a better choice", minimum=1, maximum=1000
     )
-    radius: float = setting(0.006, "merge radius of the first pass, over half the diagonal of the scene", above=0.0)
+    radius: float = setting(
+        0.0, f"merge radius of the first pass, in the unit of radius_unit; {radii.RADIUS_DOC}", minimum=0.0
+    )
+    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     alpha: float = setting(
         0.75,
         "reduction of the merge radius: after m camera paths per pixel it is radius * (m + 1)^((alpha - 1) / 2); "
@@ -192,6 +196,7 @@ class Auto(Carrying, ImageMethod):
                 **common,
                 rr_depth=self._rr_depth,
                 radius=own.radius,
+                radius_unit=own.radius_unit,
                 alpha=own.alpha,
                 light_paths=counts.light_paths,
                 connections=counts.connections,
@@ -312,7 +317,11 @@ class Auto(Carrying, ImageMethod):
         """Mean over the passes; the metadata contain the counts of the next pass, and the products of error and cost
         of the best candidates, relative to the least."""
         result = super().develop(measurement, state)
-        result.metadata |= {"chosen": describe(Candidate(*state["counts"])), "products": dict(state["products"])}
+        facts = self._vcm.notes if self._vcm else {}
+        result.metadata |= facts | {
+            "chosen": describe(Candidate(*state["counts"])),
+            "products": dict(state["products"]),
+        }
         return result
 
     def _left(self) -> State:

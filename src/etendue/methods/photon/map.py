@@ -24,7 +24,7 @@ from etendue.transport import Kind, Photons, WalkVertex
 from .. import radius as radii
 from ..base import ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
-from .photons import PhotonShot, add_by_kind, no_light, photon_room, reflected_by
+from .photons import Peaks, PhotonShot, add_by_kind, no_light, photon_room, reflected_by
 
 #: Most light paths per photon of the setting ``photons``, for scenes in which light paths store few photons.
 _MOST_PATHS_PER_PHOTON = 20
@@ -76,8 +76,8 @@ class Pm(PhotonMapping):
                 f"photons to {room.most}"
             )
         super().prepare(problem, seed)
-        largest = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
-        self._limit = dr.opaque(mi.Float, largest * largest)
+        self._discs = radii.first_radius(self, self.settings.radius, self.settings.radius_unit)
+        self._limit = dr.opaque(mi.Float, self._discs.largest**2)
         self._neighbours = dr.opaque(mi.UInt32, self.settings.neighbours)
 
     def light_paths(self) -> int:
@@ -110,18 +110,19 @@ class Pm(PhotonMapping):
     def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
         """See :class:`PhotonMapping`."""
         here, beyond = (active & ~s.beyond, active & s.beyond) if self.final_gather else (active, active)
-        caustic, _ = self._nearest(self._caustic, s, vertex, here)
-        rest, found = self._nearest(self._global, s, vertex, beyond)
+        caustic, _ = self._nearest(self._caustic, s, vertex, self.peaks, here)
+        rest, found = self._nearest(self._global, s, vertex, None if self.final_gather else self.peaks, beyond)
         return [a + b for a, b in zip(caustic, rest, strict=True)], found
 
     def _nearest(
-        self, photon_map: _Map, s: GatherPath, vertex: WalkVertex, active: mi.Bool
+        self, photon_map: _Map, s: GatherPath, vertex: WalkVertex, peaks: Peaks | None, active: mi.Bool
     ) -> tuple[list[mi.Color3f], mi.UInt32]:
         """(radiance as :meth:`gather` returns it, photons) from the nearest photons of one map."""
         tree, photons, si = photon_map.tree, photon_map.photons, vertex.si
-        limit = tree.kth_distance_squared(si.p, self._neighbours, self._limit, active)
+        most = self._limit * self._discs.share(si.p)
+        limit = tree.kth_distance_squared(si.p, self._neighbours, most, active)
         # The farthest photon defines the disc; counting it would make the estimate too bright by k / (k - 1).
-        rim = dr.select(limit < self._limit, limit * _INSIDE, dr.inf)
+        rim = dr.select(limit < most, limit * _INSIDE, dr.inf)
 
         def visit(
             photon: mi.UInt32, _: mi.Float, state: tuple[list[mi.Color3f], mi.UInt32]
@@ -129,7 +130,7 @@ class Pm(PhotonMapping):
             flux, found = state
             position, depth = photons.position(photon, active)
             allowed = (depth + s.depth <= self.edges) & (dr.squared_norm(position - si.p) < rim)
-            value = reflected_by(photons, photon, vertex, limit, self.settings.kernel, active)
+            value = reflected_by(photons, photon, vertex, limit, self.settings.kernel, active, peaks)
             return add_by_kind(flux, dr.select(allowed, value, 0.0), photons, photon, active), found + 1
 
         start = no_light(self.settings.components), mi.UInt32(0)

@@ -21,11 +21,11 @@ import mitsuba as mi
 
 from etendue.core import SampleSource, setting
 from etendue.density import KERNELS
-from etendue.scene import Problem
+from etendue.scene import Problem, materials
 from etendue.transport import CameraPath, DirectWeights, Walker, WalkVertex
 
 from ..base import CameraSettings, ImageMethod, Layer, total
-from .photons import PhotonShot, PhotonTracer
+from .photons import PEAK, Peaks, PhotonShot, PhotonTracer
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,7 @@ class GatherPath(CameraPath):
     beyond: mi.Bool  #: whether it has scattered at a smooth component
     found: mi.UInt32  #: photons found at its first gather point
     first: mi.Bool  #: whether it has no gather point yet
+    peaked: mi.Bool  #: whether it has scattered in a peak of a smooth component
     lane: mi.UInt32  #: number of the path; does not change
 
 
@@ -78,6 +79,10 @@ class _SelectedSource:
         )
 
 
+def _glossy() -> tuple[mi.BSDFFlags, ...]:
+    return mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission
+
+
 class PhotonMapping(ImageMethod):
     """Base of the photon mapping methods. A subclass implements the gathering of photons."""
 
@@ -92,6 +97,13 @@ class PhotonMapping(ImageMethod):
         super().prepare(problem, seed)
         self.tracer = PhotonTracer(self, seed)
         self._light_paths = self.tracer.fitting(self.light_paths())
+        bsdfs = [one for one in materials(problem.scene) if isinstance(one, mi.BSDF)]
+        glossy = any(mi.has_flag(bsdf.flags(), flag) for bsdf in bsdfs for flag in _glossy())
+        self.peaks = (
+            Peaks(self.lights.has_delta or self.lights.has_beam)
+            if glossy and self.settings.direct == "next_event"
+            else None
+        )
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Half as many: photons are gathered pass by pass."""
@@ -150,6 +162,7 @@ class PhotonMapping(ImageMethod):
             beyond=mi.Bool(False),
             found=mi.UInt32(0),
             first=mi.Bool(True),
+            peaked=mi.Bool(False),
             lane=mi.UInt32(lanes),
         )
         path = walker.walk(path, lambda s: self._edge(s, walker, fresh, fixed), "photon gathering")
@@ -165,7 +178,8 @@ class PhotonMapping(ImageMethod):
         # because the photons contain that light
         hit = walker.emission(s, vertex)
         shared = weights.hit(s.pdf, hit.direct_pdf) if next_event else mi.Float(0.0)
-        weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
+        in_photons = s.beyond | s.peaked if self.peaks and self.peaks.keep_caustics else s.beyond
+        weight = dr.select(s.pdf > 0.0, shared, dr.select(in_photons, 0.0, 1.0))
         s.add(s.throughput * hit.radiance * weight, hit.active & (weight > 0.0), s.seen)
         # The edge after a smooth surface is for emission only, unless photons are gathered at its end.
         s.active &= vertex.valid & (s.depth < walker.max_edges)
@@ -179,7 +193,6 @@ class PhotonMapping(ImageMethod):
         for component, value in s.components_of(reflected):
             s.add(s.throughput * value, here, component)
         s.found = dr.select(here & s.first, found, s.found)
-        s.first &= ~here
 
         # ---- Next event
         source: SampleSource = _SelectedSource(smooth, fresh, fixed) if self.fixed_points else fresh
@@ -189,11 +202,14 @@ class PhotonMapping(ImageMethod):
             contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
             s.add(contribution, visible, s.lit)
 
-        # ---- Advance: through specular components, and for one edge after a smooth one
+        # ---- Advance: through specular components and peaks, and for one edge after other scattering
         rough = ~scattered.is_delta
+        peak = rough & ~s.beyond & ~(scattered.pdf <= PEAK) if self.peaks else mi.Bool(False)
+        s.peaked |= peak
+        s.first &= ~here | peak
         specular = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
         continues = specular | (rough & ~s.beyond & next_event)
-        s.beyond |= rough
+        s.beyond |= rough & ~peak
         s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(rough, scattered.pdf, 0.0))
         walker.advance(s, vertex, scattered, source)
         s.active &= continues

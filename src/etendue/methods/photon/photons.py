@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from etendue.core import Array, logger
 from etendue.density import KERNELS, HashGrid
-from etendue.film import REFLECTED, by_component
+from etendue.film import REFLECTED, Component, by_component
 from etendue.scene import Problem
 from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, Vertex, unfolded
 
@@ -22,6 +22,8 @@ from .. import base
 from ..base import PILOT_PATHS, ImageMethod, Lanes, total
 from ..store import VertexRoom
 
+#: Density per solid angle from which on a BSDF has a peak, in which a camera path goes on instead of gathering photons.
+PEAK = 4.0
 #: Device memory of a photon in bytes: its record, the sorted copy, and the search structure.
 _BYTES_PER_PHOTON = 48 + 48 + 32
 
@@ -80,17 +82,47 @@ class PhotonTracer:
         return PhotonShot(vertices, paths, total(rays), capacity)
 
 
+@dataclass(frozen=True)
+class Peaks:
+    """Which light photons do not estimate, because their directions hardly ever fall into the peak of a BSDF: camera
+    paths go on in it.
+
+    ``keep_caustics``: photons that came through mirrors and glass only are always gathered, for lights that camera
+    paths cannot hit.
+    """
+
+    keep_caustics: bool
+
+    def gathers(self, pdf: mi.Float, component: mi.UInt32) -> mi.Bool:
+        """Whether photons are gathered from a direction with the density ``pdf`` of the BSDF; ``component``: their
+        ``film.Component``."""
+        gathered = pdf <= PEAK
+        return gathered | (component != int(Component.INDIRECT)) if self.keep_caustics else gathered
+
+
 def reflected_by(
-    photons: Photons, photon: mi.UInt32, vertex: Vertex, limit: mi.Float, kernel: str, active: mi.Bool
+    photons: Photons,
+    photon: mi.UInt32,
+    vertex: Vertex,
+    limit: mi.Float,
+    kernel: str,
+    active: mi.Bool,
+    peaks: Peaks | None = None,
 ) -> mi.Color3f:
-    """Contribution of one photon to the reflected radiance, times ``N pi r^2``; ``limit``: r^2."""
+    """Contribution of one photon to the reflected radiance, times ``N pi r^2``; ``limit``: r^2; ``peaks``: leaves out
+    what camera paths find; None: all light."""
     p = photons.read(photon, active)
     distance_squared, weight = unfolded(vertex.si, photons.position(photon, active)[0], p)
     if kernel != "uniform":
         weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
     si = vertex.si
     arguments = mi.BSDFContext(), si, si.to_local(p.direction)
-    value = p.fluence * vertex.bsdf.call(mi.BSDF.eval, *arguments, active=active)
+    if peaks is None:
+        f = vertex.bsdf.call(mi.BSDF.eval, *arguments, active=active)
+    else:
+        f, pdf = vertex.bsdf.call(mi.BSDF.eval_pdf, *arguments, active=active)
+        f = dr.select(peaks.gathers(pdf, photons.component(photon, active)), f, 0.0)
+    value = p.fluence * f
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 
@@ -120,6 +152,7 @@ class PhotonGrid:
     box: lower and upper corner of the scene.
     kernel: name of the kernel.
     by_kind: keep light of different components apart.
+    peaks: see :func:`reflected_by`.
     """
 
     def __init__(
@@ -131,11 +164,12 @@ class PhotonGrid:
         box: tuple[Array, Array],
         kernel: str = "uniform",
         by_kind: bool = False,
+        peaks: Peaks | None = None,
     ) -> None:
         grid = HashGrid(positions, radius, *box, held)
         self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), ())
         self._paths = dr.opaque(mi.Float, shot.paths)
-        self._kernel, self._by_kind = kernel, by_kind
+        self._kernel, self._by_kind, self._peaks = kernel, by_kind, peaks
 
     def reflected(
         self, vertex: Vertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
@@ -146,7 +180,7 @@ class PhotonGrid:
 
         def visit(photon: mi.UInt32, state: tuple[list[mi.Color3f], mi.UInt32]) -> tuple[list[mi.Color3f], mi.UInt32]:
             flux, found = state
-            value = reflected_by(photons, photon, vertex, limit, self._kernel, active)
+            value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks)
             found = found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
             return add_by_kind(flux, value, photons, photon, active), found
 

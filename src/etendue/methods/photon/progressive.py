@@ -50,7 +50,9 @@ class SppmSettings(PhotonSettings):
         1.0, "light paths per camera path; more: less noise, more time per pass", above=0.0, maximum=64.0
     )
     radius: float = setting(
-        0.006, "radius of density estimation in the first pass, in the unit of radius_unit", above=0.0
+        0.0,
+        f"radius of density estimation in the first pass, in the unit of radius_unit; {radii.RADIUS_DOC}",
+        minimum=0.0,
     )
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     neighbours: int = setting(
@@ -82,10 +84,12 @@ class Sppm(Carrying, PhotonMapping):
         """See :class:`PhotonMapping`. The first radii are equal, or found from the nearest photons."""
         self._forget_states()
         super().prepare(problem, seed)
-        first = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
+        self._discs = radii.first_radius(self, self.settings.radius, self.settings.radius_unit)
+        first = self._discs.largest
         #: Camera paths of a pass that share R and N: those of a point, or of a pixel.
         self._sharing = 1 if self.fixed_points else self.samples_per_iteration
         entries = self.camera.pixels * self.samples_per_iteration // self._sharing
+        #: R^2 where the first radius is largest; elsewhere it has a share of that.
         self._radius_squared = dr.full(mi.Float, first * first, entries)
         self._count = dr.zeros(mi.Float, entries)
         self._most = first * first  # upper limit of R^2
@@ -123,14 +127,16 @@ class Sppm(Carrying, PhotonMapping):
         positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
         o = self.settings
-        self._photons = PhotonGrid(shot, positions, held, largest, self._box, o.kernel, o.components)
+        self._photons = PhotonGrid(shot, positions, held, largest, self._box, o.kernel, o.components, self.peaks)
 
     def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
         """See :class:`PhotonMapping`."""
+        share = self._discs.share(vertex.position)
         if self._tree is not None:  # called by _begin_with_nearest, which reads the distance from the photon count
-            squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, self._limit, active)
-            return no_light(self.settings.components), dr.reinterpret_array(mi.UInt32, squared)
-        limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active)
+            limit = self._limit * share
+            squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, limit, active)
+            return no_light(self.settings.components), dr.reinterpret_array(mi.UInt32, squared / share)
+        limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active) * share
         return self._photons.reflected(vertex, self.edges - s.depth, limit, active)
 
     def finish(self, found: mi.UInt32) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import drjit as dr
@@ -114,7 +115,7 @@ class CameraWalk(BidirectionalWalk):
         s.active &= vertex.valid
         s.d_vc = complete
 
-        place, ratio = None, None
+        place, ratio, share = None, None, self.share(vertex.position)
         if self.choice is not None:
             place = self.choice.classify(vertex.si)
             ratio = self.choice.pair(s.place, place, s.active)[1]
@@ -125,7 +126,7 @@ class CameraWalk(BidirectionalWalk):
             s.sums.edges = s.sums.edges + 1
             s.sums.smooth = s.sums.smooth + ones(smooth)
         if techniques.merge and self.gather is not None:
-            self._merge(s, vertex, smooth)
+            self._merge(s, vertex, share, smooth)
         s.active &= s.depth < self.max_edges
         smooth &= s.active
 
@@ -135,11 +136,11 @@ class CameraWalk(BidirectionalWalk):
         scattered, evaluated = vertex.sample(source, s.active, [*lights, *picked])
         for index, light in enumerate(lights):
             u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
-            self._next_event(s, vertex, light, evaluated[index], u)
+            self._next_event(s, vertex, light, evaluated[index], u, share)
         connections = []
         for index, joined in enumerate(picked):
             u = source.decide(s.depth, dim.CONNECT + index)
-            contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
+            contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u, share)
             s.rays += rays
             self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
             if self.choosing is not None and joined.pick is not None:
@@ -149,14 +150,14 @@ class CameraWalk(BidirectionalWalk):
         if self.moments and s.sums:
             self.moments.add_connections(s.sums, connections)
         if self.cache is not None and self.cache.picks is None:
-            self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
+            self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), share, smooth)
 
         # ---- Advance
-        sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        sampled, mis = (scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta), self.mis.at(share)
         if s.left is not None:
-            left = self.mis.left_out(self.number(s), s.d_vcm, scattered.cos, scattered.pdf, scattered.is_delta)
+            left = mis.left_out(self.number(s), s.d_vcm, scattered.cos, scattered.pdf, scattered.is_delta)
             s.left = self.keep_if_null(scattered, s.left, left)
-        s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
+        s.d_vcm, s.d_vc = mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
         self.leave(s, vertex, scattered, source, on_edge, place=place)
         return s
 
@@ -174,11 +175,19 @@ class CameraWalk(BidirectionalWalk):
             self.moments.add(s.sums, "emission", values[0], weights.ratios, hit.active)
         self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
 
-    def _next_event(self, s: _State, vertex: WalkVertex, light: DirectSample, f: Evaluated, u: mi.Float) -> None:
+    def _next_event(
+        self,
+        s: _State,
+        vertex: WalkVertex,
+        light: DirectSample,
+        f: Evaluated,
+        u: mi.Float,
+        share: mi.Float | None,
+    ) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
         number, cos = self.number(s), geometric_cos(vertex.si, light.direction)
         hit_pdf = dr.select(light.is_delta, 0.0, f.pdf)
-        weights = self.mis.next_event_weight(
+        weights = self.mis.at(share).next_event_weight(
             number, s.d_vcm, s.d_vc, cos, hit_pdf, f.reverse_pdf, light.pdf, light.light_ratio * cos
         )
         count = self.mis.techniques.next_event
@@ -205,7 +214,9 @@ class CameraWalk(BidirectionalWalk):
         ]
         return [self._join(s, vertex, light, drawn, pick) for light, drawn, pick in picked]
 
-    def _connect_pair(self, s: _State, vertex: WalkVertex, u: mi.Float, active: mi.Bool) -> None:
+    def _connect_pair(
+        self, s: _State, vertex: WalkVertex, u: mi.Float, share: mi.Float | None, active: mi.Bool
+    ) -> None:
         """Connect to every vertex of the light path with the number of this camera path."""
         assert self.cache is not None
         stored = self.cache.vertices
@@ -219,7 +230,7 @@ class CameraWalk(BidirectionalWalk):
             )
             f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
-            values, _, ray = self._connection(s, vertex, joined, f, u)
+            values, _, ray = self._connection(s, vertex, joined, f, u, share)
             return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
 
         n = dr.width(s.depth)
@@ -246,7 +257,7 @@ class CameraWalk(BidirectionalWalk):
         return _Joined(light, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active, pick)
 
     def _connection(
-        self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float
+        self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float, share: mi.Float | None
     ) -> tuple[list[mi.Color3f], Weights, mi.UInt32]:
         """s >= 2, t >= 2: (weighted contribution by radius, weights, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
@@ -254,7 +265,7 @@ class CameraWalk(BidirectionalWalk):
         active = joined.active & ~dr.all(f.value == 0.0)
         f_light = other.evaluate(-joined.direction, active)
         cos = geometric_cos(vertex.si, joined.direction)
-        weights = self.mis.connection_weight(
+        weights = self.mis.at(share).connection_weight(
             number,
             (s.d_vcm, s.d_vc),
             (other.d_vcm, other.d_vc),
@@ -266,6 +277,7 @@ class CameraWalk(BidirectionalWalk):
             f_light.reverse_pdf,
             pick.ratio if pick else None,
             other.kind == mi.UInt32(Kind.DIRECT),
+            self.mis.at(self.share(other.position)),
         )
         alone = s.throughput * other.throughput * f.value * f_light.value
         alone *= joined.inverse_square * cosine_ratio(other.si, joined.direction) * self.cache.factor
@@ -279,18 +291,19 @@ class CameraWalk(BidirectionalWalk):
             self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
         return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], weights, rays
 
-    def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
+    def _merge(self, s: _State, vertex: WalkVertex, share: mi.Float | None, active: mi.Bool) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
         assert self.gather is not None
         if not self.mis.techniques.merge_first:
             active = active & (self.number(s) > 1)
 
-        parts, photons, factors = 1 if s.seen is None else len(REFLECTED), self.gather.photons, self.gather.factors
+        parts, photons = 1 if s.seen is None else len(REFLECTED), self.gather.photons
+        squares, factors = self.gather.at(share)
 
         def visit(
             photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
         ) -> tuple[list[mi.Color3f], Sums | None]:
-            values, weights = self._merged(s, vertex, photon, active)
+            values, weights = self._merged(s, vertex, photon, share, active)
             totals, sums = found
             if self.moments and sums:
                 sums.photons = sums.photons + 1
@@ -300,30 +313,32 @@ class CameraWalk(BidirectionalWalk):
             return [total + value for total, value in zip(totals, values, strict=True)], sums
 
         found = self._blank(1, parts), s.sums
-        totals, s.sums = self.gather.around(vertex.position, self.max_edges - s.depth, visit, found, active)
+        widest = None if share is None else functools.reduce(dr.maximum, squares)
+        totals, s.sums = self.gather.around(vertex.position, self.max_edges - s.depth, visit, found, active, widest)
         for component, total in s.components_of(totals[:parts]):
             self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
         more = [s.throughput * total * factor for total, factor in zip(totals[parts:], factors[1:], strict=True)]
         self.sink.add_more(s.layers, more, active)
 
     def _merged(
-        self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool
+        self, s: _State, vertex: WalkVertex, photon: mi.UInt32, share: mi.Float | None, active: mi.Bool
     ) -> tuple[list[mi.Color3f], Weights]:
         """(weighted contribution of one photon, by radius; weights)."""
         assert self.gather is not None
         photons, number = self.gather.photons, self.number(s)
+        squares, factors = self.gather.at(share)
         p = photons.read(photon, active)
         f = vertex.evaluate(p.direction, active)
-        weights = self.mis.merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
+        weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
         distance_squared, share = unfolded(vertex.si, photons.position(photon, active)[0], p)
         value = p.fluence * f.value * share
-        inside = [distance_squared <= square for square in self.gather.squares]
+        inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:
-            alone = value * s.throughput * self.gather.factors[0]
+            alone = value * s.throughput * factors[0]
             here = active & inside[0]
             merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
         if self.training is not None:
-            credit = value * s.throughput * (self.gather.factors[0] * weights[0])
+            credit = value * s.throughput * (factors[0] * weights[0])
             self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])
         return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)], weights

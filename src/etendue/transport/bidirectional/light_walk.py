@@ -163,8 +163,8 @@ class LightWalk(BidirectionalWalk):
     ) -> None:
         """Leave a vertex of the class ``place``; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-        direct = s.kind == mi.UInt32(Kind.DIRECT)
-        s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, direct)
+        direct, mis = s.kind == mi.UInt32(Kind.DIRECT), self.mis.at(self.share(vertex.position))
+        s.d_vcm, s.d_vc = mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, direct)
         s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
@@ -184,7 +184,9 @@ class LightWalk(BidirectionalWalk):
     ) -> None:
         """Connect the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
         area_pdf = joined.area_pdf(geometric_cos(vertex.si, joined.direction))
-        weights = self.mis.splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, area_pdf)
+        weights = self.mis.at(self.share(vertex.position)).splat_weight(
+            s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, area_pdf
+        )
         place = sink.splats.place(joined, source, s.depth)
         factor = joined.importance * place.weight * cosine_ratio(vertex.si, joined.direction)
         alone = s.throughput * f.value

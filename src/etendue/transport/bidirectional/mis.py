@@ -30,45 +30,22 @@ merging radii, or candidates whose second moments are estimated), a sub-path car
 
 from __future__ import annotations
 
+import copy
 import functools
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from .linear import Carried, Counts, Linear
+from .techniques import Techniques
 
 #: Least geometric cosine that merging divides by.
 GRAZING = 0.02
 #: Least density of a path under a candidate's counts, relative to that under the counts in use.
 _NEVER = 1e-6
-
-
-@dataclass(frozen=True)
-class Techniques:
-    """Samples that each technique takes at a vertex (0: not used), and the exponent of the heuristic."""
-
-    emission: int = 1  #: the camera sub-path hits a light (s = 0)
-    next_event: int = 1  #: a camera vertex is connected to light points (s = 1)
-    connection: int = 1  #: a camera vertex is connected to stored light vertices (s >= 2, t >= 2)
-    splat: bool = True  #: a light vertex is connected to the camera (t = 1)
-    merge: bool = True  #: a camera vertex is merged with stored light vertices around it
-    merge_first: bool = True  #: merging at the first camera vertex, too
-    direct: bool = True  #: also splats and merges of a light path's first vertex, where next event finds the light
-    beta: int = 1  #: 1 balance heuristic, 2 power heuristic
-
-    @property
-    def connects(self) -> bool:
-        """Whether any technique connects two vertices by an edge (the report's VC)."""
-        return bool(self.next_event or self.connection or self.splat)
-
-    @property
-    def leaves_direct(self) -> bool:
-        """Whether direct light that next event finds is neither splatted nor merged."""
-        return not self.direct and self.next_event > 0
 
 
 class Weights(list[Any]):
@@ -111,6 +88,17 @@ class Mis:
         self.linear = len(self._sets) > 1 or bool(self.candidates)
         # The term that the recursion adds at vertices that can be merged.
         self._eta: Linear | mi.Float | float = Linear(0.0, 0.0, 1.0) if self.linear else etas[0]
+        self._share: mi.Float | float = 1.0
+
+    def at(self, share: mi.Float | None) -> Mis:
+        """The weights at a vertex where the merging disc has a ``share`` of the area that ``eta_vm`` stands for; None:
+        all of it. The share is a function of the position alone, so that every technique of a path has the same."""
+        if share is None:
+            return self
+        here = copy.copy(self)
+        here._share = self.power(share)
+        here._eta = self._eta * here._share
+        return here
 
     def power(self, x: mi.Float | float) -> mi.Float:
         """``x^beta``."""
@@ -356,11 +344,14 @@ class Mis:
         reverse_pdf_light: mi.Float,
         ratio: mi.Float | None = None,
         direct: mi.Bool | None = None,
+        there: Mis | None = None,
     ) -> Weights:
         """Weights of the connection of two inner vertices [Georgiev 2012b, eq. 40, 41]. ``camera``, ``light``: their
         (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them; ``ratio``: of
-        their edge, see :meth:`chosen`; ``direct``: of the light vertex, see :meth:`scatter_light`."""
-        by_light = self._sum(self._merge_area(light_cos, direct=direct), light[0], reverse_pdf_light, light[1])
+        their edge, see :meth:`chosen`; ``direct``: of the light vertex, see :meth:`scatter_light`; ``there``: see
+        :meth:`at`, of the light vertex."""
+        eta = (there or self)._merge_area(light_cos, direct=direct)
+        by_light = self._sum(eta, light[0], reverse_pdf_light, light[1])
         area = self._merge_area(camera_cos, depth)
         by_camera = self._sum(area, camera[0], reverse_pdf_camera, camera[1])
         others = self._at(by_light * self.power(area_pdf_to_light), by_camera * self.power(area_pdf_to_camera))
@@ -396,5 +387,5 @@ class Mis:
         by_camera = self._sum(None, camera[0], reverse_pdf, camera[1])
         others = self._at(by_light, by_camera)
         if not self.linear:
-            return Weights([dr.rcp(1.0 + others[0] / self._sets[0].merge)])
-        return self._weights([counts.merge for counts in (*self._sets, *self.candidates)], others)
+            return Weights([dr.rcp(1.0 + others[0] / (self._sets[0].merge * self._share))])
+        return self._weights([counts.merge * self._share for counts in (*self._sets, *self.candidates)], others)

@@ -173,13 +173,19 @@ def number_of(tag: mi.Float, bits: int) -> mi.UInt32:
 class Gather:
     """The stored light vertices for merging, sorted by a grid for the largest radius.
 
-    ``factors``: 1 / (n_VM pi r^2) of each radius; ``squares``: r^2.
+    ``factors``: 1 / (n_VM pi r^2) of each radius; ``squares``: r^2. Both where the radius is largest.
     """
 
     grid: HashGrid
     photons: Photons
     factors: Sequence[mi.Float]
     squares: Sequence[mi.Float]
+
+    def at(self, share: mi.Float | None) -> tuple[Sequence[mi.Float], Sequence[mi.Float]]:
+        """(``squares``, ``factors``) where the discs have a ``share`` of their largest area; None: all of it."""
+        if share is None:
+            return self.squares, self.factors
+        return [square * share for square in self.squares], [factor / share for factor in self.factors]
 
     def around(
         self,

@@ -17,7 +17,7 @@ from etendue.core import OptionError, on_device
 from etendue.film import LONGER, Technique
 
 from ..camera import SplatPlace
-from .mis import Techniques
+from .techniques import Techniques
 
 #: Bytes per pixel and layer: four floats on the device; on the host the sum of a pass, the sum of all passes, the
 #: picture, and the channels that are written.

@@ -11,8 +11,8 @@ import mitsuba as mi
 from etendue.film import COMPONENTS, REFLECTED, Component
 
 from ..camera import SplatPlace, Splats
-from .mis import Techniques
 from .pyramid import Pyramid
+from .techniques import Techniques
 
 
 @dataclass

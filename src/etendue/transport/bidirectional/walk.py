@@ -13,6 +13,7 @@ from etendue.core import SampleSource
 from ..camera import CameraSampler
 from ..guiding.connections import START, ConnectionGuide
 from ..guiding.emission import EmissionTraining
+from ..places import Places
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
@@ -42,6 +43,7 @@ class BidirectionalWalk(Walker):
     sink: Sink | None
     training: EmissionTraining | None = None  #: learns what light paths contribute
     choice: ConnectionGuide | None = None  #: which light vertices connections prefer
+    places: Places | None = None  #: how the merging radius varies; None: the same everywhere
 
     @property
     def pyramid(self) -> Pyramid | None:
@@ -52,6 +54,10 @@ class BidirectionalWalk(Walker):
     def start(self) -> mi.UInt32 | None:
         """Class of the sensor and of the lights."""
         return None if self.choice is None else mi.UInt32(START)
+
+    def share(self, position: mi.Point3f) -> mi.Float | None:
+        """Area of the merging disc at a position, relative to the largest; None: the same everywhere."""
+        return self.places.share(position) if self.places is not None and self.mis.techniques.merge else None
 
     def number(self, s: BidirectionalPath) -> mi.UInt32:
         """Number of the vertex at the end of the edge; 0 is the sensor or the light, null surfaces do not count."""

@@ -1,0 +1,71 @@
+"""How the merging radius varies from place to place, and the surfaces by which it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+
+from .walk import SubPath, Walker
+
+#: Longest path, in edges, to the first surface that is not specular.
+_MOST_EDGES = 12
+
+
+@dataclass
+class Places:
+    """A radius that is proportional to the distance from the sensor, as the footprint of a pixel is, within limits.
+
+    It depends on the position alone, so that every technique of a path, from either side, knows the radius at each of
+    its vertices. Behind a flat mirror the footprint is larger, because the path to the sensor is longer than the
+    distance; through curved glass it may be anything.
+    """
+
+    origin: mi.Point3f  #: of the sensor
+    least: mi.Float  #: squared distance below which the radius is constant; opaque
+    most: mi.Float  #: squared distance beyond which the radius is constant, and largest; opaque
+
+    def share(self, position: mi.Point3f) -> mi.Float:
+        """Area of the disc at a position, relative to the largest."""
+        squared = dr.squared_norm(position - self.origin)
+        return dr.clip(squared, self.least, self.most) * dr.rcp(self.most)
+
+
+@dataclass(kw_only=True)
+class _Sight(SubPath):
+    """State of a camera path up to the first surface that is not specular."""
+
+    position: mi.Point3f
+    reached: mi.Bool
+
+
+def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tuple[mi.Point3f, mi.Bool]:
+    """(positions of the first surfaces with a smooth component that camera rays reach, directly or through mirrors and
+    glass; mask of the rays that reach one)."""
+    path = _Sight(
+        active=mi.Bool(True),
+        ray=mi.Ray3f(ray),
+        throughput=mi.Color3f(1.0),
+        eta=mi.Float(1.0),
+        depth=mi.UInt32(1),
+        travelled=mi.Float(0.0),
+        rays=mi.UInt32(0),
+        position=mi.Point3f(0.0),
+        reached=mi.Bool(False),
+    )
+
+    def edge(s: _Sight) -> _Sight:
+        vertex = walker.arrive(s)
+        here = s.active & vertex.valid & vertex.smooth
+        s.position = dr.select(here, vertex.position, s.position)
+        s.reached |= here
+        s.active &= vertex.valid & ~here & (s.depth < _MOST_EDGES)
+        scattered, _ = vertex.sample(source, s.active)
+        walker.advance(s, vertex, scattered, source)
+        return s
+
+    path = walker.walk(path, edge, "sight")
+    return path.position, path.reached
