@@ -31,7 +31,7 @@ Picture = NDArray[np.float32]
 #: Relative standard errors at which the ramp begins and ends.
 _TRUSTED, _DOUBTED = 0.25, 0.5
 #: A pixel is trusted if so many pixels of the frame have at least its standard error divided by the factor.
-_RANK, _FACTOR = 6, 2.0
+_RANK, _FACTOR = 4, 2.0
 #: Width of the frame in pixels.
 _FRAME = 2
 _ROUNDS = 3
@@ -100,21 +100,23 @@ def _remove(
     sign = np.where(_sum(part[pixels] for part in parts.values()) < 0.0, -1.0, 1.0)  # below 0 by lobes of the filter
     excess = {name: np.maximum(sign * (part[pixels] - _mean(part, pixels, frame)), 0.0) for name, part in parts.items()}
     total = _sum(excess.values())
-    removed = sign * share * np.minimum(total, error[pixels])
-    factor = np.divide(removed, total, out=np.zeros_like(total), where=total > 0.0)
+    removed = share * np.minimum(total, error[pixels])
+    factor = sign * np.divide(removed, total, out=np.zeros_like(total), where=total > 0.0)
     for name, part in parts.items():
         part[pixels] -= factor * excess[name]
-    error[pixels] *= 1.0 - share
+    error[pixels] -= removed
 
 
 def _mean(part: Picture, pixels: tuple[NDArray[np.int64], NDArray[np.int64]], frame: NDArray[np.int64]) -> Picture:
-    """Mean of a layer over the frames around ``pixels``; the picture is mirrored at its border."""
+    """Mean of a layer over the frames around ``pixels``, as far as they are in the picture; 0 where they are not."""
     pad, (row, column) = int(frame.max()), pixels
-    padded = np.pad(part, ((pad, pad), (pad, pad), (0, 0)), mode="symmetric")
-    total = np.zeros((len(row), part.shape[2]), np.float32)
+    ones = np.ones((*part.shape[:2], 1), np.float32)
+    padded = np.pad(np.concatenate([part, ones], axis=2), ((pad, pad), (pad, pad), (0, 0)))
+    total = np.zeros((len(row), padded.shape[2]), np.float32)
     for y, x in frame:
         total += padded[row + (pad + y), column + (pad + x)]
-    return total / np.float32(len(frame))
+    mean: Picture = total[:, :-1] / np.maximum(total[:, -1:], 1.0)
+    return mean
 
 
 def _sum(pictures: Iterable[Picture]) -> Picture:
