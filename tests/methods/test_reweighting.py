@@ -9,7 +9,7 @@ from support.running import prepared
 from etendue import api, methods, scene
 from etendue.core import OptionError
 from etendue.engine import Checkpoint
-from etendue.film import COMPONENTS, relative_mse
+from etendue.film import COMPONENTS, read_image, relative_mse
 from etendue.methods import CameraSettings
 
 SIZE = (24, 24)
@@ -84,6 +84,15 @@ def test_a_resumed_run_and_its_plain_picture(tmp_path):
     assert plain.metadata["relative_error"] == first.metadata["relative_error"]
     np.testing.assert_array_equal(kept.mean().astype(np.float32), plain.image)
     assert not np.array_equal(plain.image, first.image)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_demonstration_has_no_fireflies(seed):
+    """A lamp seen through chains of mirrors and glass: relMSE was 77 and 0.066 without, 0.020 and 0.021 with it."""
+    bundled = scene.bundled_scene("caustics")
+    made = api.render("caustics", "vcm", samples=27, seed=seed, samples_per_pass=1, reweight=True)
+    assert relative_mse(made.image, read_image(bundled.reference)) < 0.03
 
 
 def test_which_methods_have_it_and_where_it_is_on():
