@@ -119,6 +119,22 @@ def test_negative_lobes_of_a_filter_are_removed_with_their_firefly():
     assert np.abs(reweighted(passes) - expected).max() < 1.0
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("unit", [1e-25, 1e25])
+def test_the_unit_of_light_does_not_matter(unit):
+    """In very bright and very dark scenes, and where the mean is 0."""
+    passes = noise(10)
+    passes[2, 20, 30] += 500.0
+    passes[:, :10] = 0.0
+    passes[0, 3, 3] = 100.0
+    mean, variance = moments(passes)
+    mean[5, 50], variance[5, 50] = 0.0, 1.0
+    scaled = without_fireflies({"image": (mean * unit).astype(np.float32)}, variance * unit**2, 2)["image"]
+    plain = without_fireflies({"image": mean.astype(np.float32)}, variance, 2)["image"]
+    assert plain.max() < 5.0
+    np.testing.assert_allclose(scaled / np.float32(unit), plain, rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("size", [(1, 1), (1, 5), (3, 2)])
 def test_tiny_pictures(size):
     passes = np.ones((4, *size, 3))

@@ -55,7 +55,7 @@ def without_fireflies(parts: Mapping[str, Picture], variance: NDArray[np.float64
         if not len(row):
             break
         own = standard[row, column]
-        relative = own / np.maximum(whole[row, column], np.finfo(np.float32).tiny)
+        relative = own / np.maximum(own, whole[row, column])
         share = np.clip((relative - _TRUSTED) / (_DOUBTED - _TRUSTED), 0.0, 1.0) * (1.0 - _FACTOR * trusted / own)
         _remove(changed, error, (row, column), share[:, None], frame)
     return changed
@@ -125,5 +125,5 @@ def _sum(pictures: Iterable[Picture]) -> Picture:
 
 def _norm(colours: Picture) -> Picture:
     """Root mean square over the channels."""
-    norm: Picture = np.sqrt(np.square(colours).mean(axis=2))
+    norm: Picture = np.sqrt(np.square(colours, dtype=np.float64).mean(axis=2)).astype(np.float32)
     return norm
