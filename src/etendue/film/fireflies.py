@@ -11,8 +11,8 @@ largest standard error in a frame of pixels around it, beyond the reach of the f
 .. math:: g = \mathrm{ramp}(s / m) \, \max(0, 1 - 2 T / s)
 
 of the standard error of each channel is removed, but no more than what the pixel has above the mean of the frame. The
-ramp rises from 0 at s / m = 1/4 (16 equally bright finds) to 1 at 1/2 (4 finds). The standard error that remains is
-1 - g times as large; repetition finds the fireflies that brighter ones have hidden.
+ramp rises from 0 at s / m = 1/4 (16 equally bright finds) to 1 at 1/2 (4 finds). Removed from the mean, it is removed
+from the standard error, too; :data:`_ROUNDS` rounds find the fireflies that brighter ones have hidden.
 
 At most the standard error is removed, so the estimate is consistent. It is biased: light that has been found rarely is
 too dark. Where the noise is as large as around it, nothing changes.
@@ -115,8 +115,7 @@ def _mean(part: Picture, pixels: tuple[NDArray[np.int64], NDArray[np.int64]], fr
     total = np.zeros((len(row), padded.shape[2]), np.float32)
     for y, x in frame:
         total += padded[row + (pad + y), column + (pad + x)]
-    mean: Picture = total[:, :-1] / np.maximum(total[:, -1:], 1.0)
-    return mean
+    return np.asarray(total[:, :-1] / np.maximum(total[:, -1:], 1.0), np.float32)
 
 
 def _sum(pictures: Iterable[Picture]) -> Picture:
@@ -125,5 +124,4 @@ def _sum(pictures: Iterable[Picture]) -> Picture:
 
 def _norm(colours: Picture) -> Picture:
     """Root mean square over the channels."""
-    norm: Picture = np.sqrt(np.square(colours, dtype=np.float64).mean(axis=2)).astype(np.float32)
-    return norm
+    return np.asarray(np.sqrt(np.square(colours, dtype=np.float64).mean(axis=2)), np.float32)
