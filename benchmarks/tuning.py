@@ -170,10 +170,10 @@ class _Run:
         return time.process_time() - start
 
     def _picture(self) -> tuple[np.ndarray, str]:
-        """(picture so far, what was chosen)."""
+        """(mean of the passes so far, without re-weighting, which only some methods have on; what was chosen)."""
         assert self._total is not None
         result = self._replica.develop(self._total)
-        return result.image, result.metadata.get("chosen", self.name)
+        return self._total.mean().astype(np.float32), result.metadata.get("chosen", self.name)
 
 
 class _RunBefore(_Run):

@@ -195,6 +195,7 @@ def test_demo_writes_a_page(folder, capsys):
     assert run("demo --time 0.2 --size 24x18 -o d") == 0
     assert capsys.readouterr().out == f"{Path('d/index.html')}\n"
     assert {"path.exr", "vcm.exr", "path.png", "vcm.png"} <= set(os.listdir("d"))
+    assert all("fireflies" in film.read_exr(f"d/{name}.exr").metadata for name in ("path", "vcm"))
 
 
 def test_methods_and_manual_pages(capsys):

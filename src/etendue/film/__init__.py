@@ -23,6 +23,7 @@ from .errors import (
 )
 from .exr import channel_names, layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import PixelFilter
+from .fireflies import without_fireflies
 from .flip import flip, flip_error, flip_is_installed
 from .layers import ALBEDO, NORMAL, SHAPE
 from .output import check_writable, replacing, write_bytes
@@ -65,6 +66,7 @@ __all__ = [
     "relative_squared_error",
     "replacing",
     "rmse",
+    "without_fireflies",
     "write_bytes",
     "write_exr",
     "write_layers",

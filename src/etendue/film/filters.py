@@ -270,9 +270,12 @@ class PixelFilter:
         self.is_box = bool(rfilter.is_box_filter())
         #: Whether a sample may be outside the radius of all pixels: :meth:`spread` replaces such a filter by a box.
         self.has_gaps = False
+        #: Distance in pixels, along an axis, of the last pixel to which a sample contributes; at least 1.
+        self.reach = 1
         if not self.is_box:
             table = FilterTable(rfilter)
             self.has_gaps = table.has_gaps
+            self.reach = max(1, math.floor(table.reach + 0.5))
             self._x = _Axis(table, self.width)
             self._y = self._x if self.width == self.height else _Axis(table, self.height)
 

@@ -13,7 +13,6 @@ from typing import Any, ClassVar, TypeVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from etendue.core import (
     CONTRAST,
@@ -44,16 +43,21 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
+from .layers import Layer as Layer
+from .layers import keep_finite as keep_finite
+from .layers import reweighted
+from .layers import total as total
+from .layers import with_image as with_image
 from .numbers import Lanes as Lanes
 from .numbers import SharedFilm, camera_numbers, places
 from .numbers import light_numbers as light_numbers
 
-V = TypeVar("V")
 W = TypeVar("W", bound=Walker)
 
-#: One pass's sums of a layer, (height, width, channels).
-Layer = NDArray[np.float32]
-
+REWEIGHT = (
+    "reduce fireflies: pixels much noisier between the passes than those around them lose up to their standard error, "
+    "so that rare bright light is missing until it has been found more often"
+)
 #: Camera paths of a pass for two cores: fewer use the cores badly, more delay the first picture. The number grows with
 #: the cores, up to a factor of ``_MOST_FULL``, which is also the factor for a GPU.
 FULL_LANES = 1 << 19
@@ -133,6 +137,7 @@ class CameraSettings(ImageSettings):
         "makes the picture darker; 0: no limit",
         minimum=0.0,
     )
+    reweight: bool = setting(False, REWEIGHT)
 
 
 class ImageMethod(ABC):
@@ -246,11 +251,15 @@ class ImageMethod(ABC):
         The layers either include ``image``, or the image is their sum."""
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """Mean over the passes, layer by layer. With ``aovs`` and two passes, the variance of this mean is a layer."""
+        """Mean over the passes, layer by layer; with ``reweight``, without fireflies. With ``aovs`` and two passes, the
+        variance of the mean (of all paths) is a layer."""
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = {name: measurement.mean(name).astype(np.float32) for name in names}
         metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()} | self.notes
         layers, metadata = layers | self._shapes[0], metadata | self._shapes[1]
+        if getattr(self.settings, "reweight", False):
+            reach = 1 if self.camera.independent else self.camera.filter.reach
+            layers, metadata["fireflies"] = reweighted(layers, measurement, reach)
         if self.settings.aovs and len(measurement.iterations) > 1:
             layers["variance"] = measurement.variance_of_mean().astype(np.float32)
         return Result(layers, metadata)
@@ -380,22 +389,3 @@ class ImageMethod(ABC):
         layers = self.images(found, seed, hits.iteration, samples)
         layers["depth"] /= np.float32(self.problem.space.scale)
         return {name: layer * np.float32(samples / hits.rays) for name, layer in layers.items()}, bad
-
-
-def keep_finite(value: V) -> tuple[V, mi.Bool]:
-    """(``value`` with non-finite lanes set to 0, mask of these lanes)."""
-    good = dr.all(dr.isfinite(value))
-    return dr.select(good, value, 0.0), ~good
-
-
-def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
-    """``layers`` with ``image`` added, as their sum, if it is missing."""
-    if "image" in layers:
-        return layers
-    # In single precision, which is enough for one pass and needs less memory traffic.
-    return {"image": functools.reduce(np.add, layers.values())} | layers
-
-
-def total(values: mi.UInt32 | mi.Bool) -> float:
-    """Sum over all lanes of an evaluated array of counts or flags."""
-    return float(np.asarray(values).sum(dtype=np.float64))

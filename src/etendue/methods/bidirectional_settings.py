@@ -94,6 +94,9 @@ class BidirectionalSettings(CameraSettings):
         super().__post_init__()
         if self.split_layers and self.components:
             raise OptionError("split_layers and components divide the picture in two ways; leave out one of them")
+        if self.reweight and (self.pyramid or radii.factors(self.radii)):
+            name = "pyramid" if self.pyramid else "radii"
+            raise OptionError(f"reweight changes the picture, but not the layers of {name}; leave out one of them")
         if radii.factors(self.radii) and not self.merging:
             raise OptionError(f"option 'radii={self.radii}' needs merging, which is off; leave it out")
 

@@ -360,10 +360,10 @@ class Session:
 
     def _publish(self) -> None:
         """Show the current picture."""
+        begin = time.perf_counter()
         if self.main is None or (result := self.main.result()) is None:
             return
         self._dirty = False
-        begin = time.perf_counter()
         names = list(self.layers)
         self.layers = result.layers
         if self.on_picture is not None:

@@ -159,7 +159,7 @@ def demonstration(output: Path, budget: Budget, size: tuple[int, int] | None) ->
     """The bundled demonstration scene by ``path`` and ``vcm``. Its reference has the scene's default size."""
     scene = next(iter(bundled().values()))
     return Comparison(
-        tasks(scene, ["path", "vcm"], {}, budget=budget, size=size),
+        tasks(scene, ["path", "vcm"], {"reweight": True}, budget=budget, size=size),
         output,
         reference=scene.reference if size is None else None,
         reference_note=scene.reference_note,

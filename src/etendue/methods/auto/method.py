@@ -32,7 +32,7 @@ from etendue.scene import LightTable, Problem, materials
 from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
 from .. import radius as radii
-from ..base import CameraSettings, ImageMethod, Layer
+from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
 from ..bidirectional import Vcm
 from ..bidirectional_settings import BidirectionalSettings
 from ..path import Path, path_pass, traced
@@ -82,6 +82,7 @@ class AutoSettings(CameraSettings):
         "choice=path",
         minimum=1,
     )
+    reweight: bool = setting(True, REWEIGHT)
     choice: str = setting(
         "learn",
         "sample counts of the passes: chosen while it renders (learn), or those of path, bpt, bpt with "
@@ -110,7 +111,7 @@ class Auto(Carrying, ImageMethod):
     name: ClassVar[str] = "auto"
     Settings: ClassVar[type[CameraSettings]] = AutoSettings
     settings: AutoSettings
-    citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", "Su2022", *Path.citations, *Vcm.citations)
+    citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", "Su2022", "Zirr2018", *Path.citations, *Vcm.citations)
     carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
