@@ -25,7 +25,7 @@ from .exr import channel_names, layer_path, read_exr, read_image, write_exr, wri
 from .filters import PixelFilter
 from .flip import flip, flip_error, flip_is_installed
 from .layers import ALBEDO, NORMAL, SHAPE
-from .output import check_writable, replacing, write_bytes
+from .output import check_writable, is_writing, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
@@ -53,6 +53,7 @@ __all__ = [
     "flip_error",
     "flip_is_installed",
     "is_matte",
+    "is_writing",
     "layer_path",
     "luminance_rmse",
     "matte_attributes",
