@@ -6,10 +6,8 @@ import html
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -274,98 +272,6 @@ def test_sizes_of_memory():
     assert options.parse_memory("2G") == 2 << 30
     assert options.parse_memory("512MiB") == 512 << 20
     assert options.parse_memory("1000") == 1000
-
-
-def start(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def wait_for_pass(process: subprocess.Popen[str]) -> None:
-    """Return when the first line of progress has come."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "pass " in line:
-            return
-    pytest.fail(f"ended with status {process.wait()} before a line of progress")
-
-
-#: More than a second of passes, so that a signal after the first line of progress comes before the end.
-RENDER = shlex.split("render cornell-box -m path --size 128x128 -D samples_per_pass=1 --spp 100 -o a.exr")
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(number, folder):
-    process = start(*RENDER)
-    wait_for_pass(process)
-    process.send_signal(number)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
-    assert out == "a.exr\na.checkpoint\n"
-    assert "stopping after this pass" in err
-    assert "Traceback" not in err
-    early = film.read_exr("a.exr").metadata
-    assert early["stopped_by"] == "cancel"
-    assert 0 < early["passes"] < 100
-    if number == signal.SIGTERM:
-        return
-    # Without a budget of its own, a resumed run does what the interrupted one had left.
-    assert run("resume a.checkpoint") == 0
-    assert main([*RENDER[:-1], "b.exr"]) == 0
-    assert film.read_exr("a.exr").metadata["passes"] == 100
-    assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
-
-
-def wait_for_handler(process: subprocess.Popen[str]) -> None:
-    """Return when the process catches SIGTERM, which it does not before it renders."""
-    while not int(re.search(r"SigCgt:\s*(\w+)", proc(process, "status"))[1], 16) >> (signal.SIGTERM - 1) & 1:
-        time.sleep(0.05)
-
-
-def processor_seconds_of(process: subprocess.Popen[str]) -> float:
-    fields = proc(process, "stat").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def proc(process: subprocess.Popen[str], name: str) -> str:
-    assert process.poll() is None, process.communicate()
-    return Path(f"/proc/{process.pid}/{name}").read_text("ascii")
-
-
-@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="asks Linux how far a process is")
-def test_a_second_signal_aborts_at_once(folder):
-    process = start(
-        *shlex.split("render cornell-box -m path --size 1024x1024 -D samples_per_pass=32 --spp 320 -o a.exr")
-    )
-    wait_for_handler(process)
-    begun = processor_seconds_of(process)
-    while processor_seconds_of(process) < begun + 2.0:  # then it is inside the first pass, which takes many times that
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
-    began = time.monotonic()
-    _, err = process.communicate(timeout=60)
-    assert time.monotonic() - began < 5.0
-    assert process.returncode == 130
-    assert "aborted" in err
-    assert os.listdir(folder) == []
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
-def test_a_killed_render_leaves_its_last_intermediate_save(folder):
-    process = start(*RENDER[:-4], "--time", "60", "-o", "a.exr", "--save-every", "0.2")
-    while not Path("a.checkpoint").exists():
-        assert process.poll() is None
-        time.sleep(0.02)
-    time.sleep(0.5)
-    process.kill()
-    process.communicate()
-    assert film.read_exr("a.exr").metadata["stopped_by"] == "running"
-    done = Checkpoint.read("a.checkpoint").measurement.iterations.next_iteration()
-    assert done > 0
-    assert main(["resume", "a.checkpoint", "--spp", str(done + 2)]) == 0
-    assert film.read_exr("a.exr").metadata["passes"] == done + 2
 
 
 def test_help_is_immediate():

@@ -6,7 +6,7 @@ import pytest
 from etendue.api import render
 from etendue.cli.main import main
 from etendue.core import BackendError, OptionError, Result
-from etendue.display import develop, tonemap, write_png
+from etendue.display import auto_exposure, develop, tonemap, write_png
 from etendue.display.denoising import component_names, find_features
 from etendue.display.denoising.pictures import colours
 from etendue.film import read_exr, read_image, write_exr
@@ -180,10 +180,26 @@ def test_command(tmp_path, capsys):
     assert source.read_bytes() == before
 
 
+def test_a_denoiser_does_not_change_the_exposure(tmp_path):
+    """A dark picture with bright noise, which a filter spreads over all pixels."""
+    r = np.random.default_rng(1)
+    image = np.repeat(np.where(r.random((40, 40, 1)) < 0.1, 4.0, 0.02), 3, axis=2).astype(np.float32)
+    write_exr(tmp_path / "a.exr", Result({"image": image}, {}))
+    words = ["--denoise", "gaussian", "--radius", "12"]
+    assert main(["develop", str(tmp_path / "a.exr"), *words, "-o", str(tmp_path / "b.png")]) == 0
+    smooth = develop({"image": image}, "gaussian", radius=12)
+    expected = read_back(tmp_path, tonemap(smooth, auto_exposure(image)))
+    np.testing.assert_array_equal(read_image(tmp_path / "b.png"), expected)
+    assert abs(auto_exposure(smooth) - auto_exposure(image)) > 0.5
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         ("a.exr -o a.exr", "is the input"),
+        ("a.exr --exposure 1e9", "number of stops from -300 to 300"),
+        ("a.exr --exposure nan", "number of stops from -300 to 300"),
+        ("a.exr --denoise guided --strength nan", "strength of a denoiser"),
         ("a.exr --tone agz", "did you mean 'agx'"),
         ("a.exr --exposure bright", "number of stops or 'auto'"),
         ("a.exr --denoise nlm", "needs the layer 'variance'"),

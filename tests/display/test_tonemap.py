@@ -61,14 +61,28 @@ def test_auto_exposure_ignores_black_and_broken_pixels_and_keeps_highlights():
     assert auto_exposure(np.zeros((2, 2, 3))) == 0.0
 
 
+@pytest.mark.parametrize("method", ["log-average", "percentile"])
+def test_nearly_black_pixels_do_not_count(method):
+    """A picture with black around it has the exposure of the picture, also if a filter left traces of light there."""
+    r = np.random.default_rng(1)
+    image = np.repeat(np.exp(r.normal(0, 1, (40, 40, 1))), 3, axis=2)
+    image[:4, :4] = 1000.0  # a lamp
+    expected = auto_exposure(image, method)
+    for trace in (0.0, 1e-30, 1e-9, 1e-6):
+        around = np.full((80, 80, 3), trace)
+        around[20:60, 20:60] = image
+        assert auto_exposure(around, method) == pytest.approx(expected, abs=0.05)
+
+
 def test_unknown_choices_are_named():
     image = np.ones((1, 1, 3))
     with pytest.raises(OptionError, match="did you mean 'filmic'"):
         tonemap(image, curve="flmic")
     with pytest.raises(OptionError, match="'auto'"):
         tonemap(image, "bright")
-    with pytest.raises(OptionError, match="finite"):
-        tonemap(image, float("nan"))
+    for stops in (float("nan"), float("inf"), 1e9, -1e9, None, [1]):
+        with pytest.raises(OptionError, match="a number of stops"):
+            tonemap(image, stops)
     with pytest.raises(OptionError, match="percentile"):
         auto_exposure(image, "mean")
 

@@ -26,6 +26,7 @@ from etendue.surfaces import (
     save_map,
     variable_bandwidths,
 )
+from etendue.surfaces.maps import kernels
 
 #: Irradiance of the three channels, by power per area.
 COLOUR = np.array([1.0, 2.0, 3.0])
@@ -67,6 +68,26 @@ def test_kernels_of_an_even_density_are_exact_up_to_the_corners(plane, boundary)
     value, error = irradiance_at(made, EDGES, np.tile(UP, (4, 1)))
     assert (np.abs(value - COLOUR) < 5 * error).all()
     assert (error / COLOUR).max() < 0.1
+
+
+def test_a_fine_mesh_costs_what_a_coarse_one_does(monkeypatch):
+    """A kernel that covers a third of a plane visits as many points for its integral as on a coarse mesh, and the
+    integral is that over all points but for some noise."""
+    visited = []
+
+    def sums(self, at, *others):
+        visited.append(len(at))
+        return plain(self, at, *others)
+
+    plain = kernels._Frames.sums
+    monkeypatch.setattr(kernels._Frames, "sums", sums)
+    builder = KernelBuilder(MapSurfaces(field(0.5, 1.0), 5000), 0.6)
+    few = builder._weights()[:, 0]
+    assert visited[0] < 4000
+    monkeypatch.setattr(kernels, "_POINT", 1e-4)
+    ratio = few / builder._weights()[:, 0]
+    assert visited[1] > 10_000
+    assert abs(ratio.mean() - 1) < 0.002 and ratio.std() < 0.01
 
 
 def test_without_a_correction_edges_are_dark(plane):

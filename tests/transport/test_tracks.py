@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -32,6 +34,22 @@ def check_edges(problem: Problem, tracks: Tracks) -> None:
     on_surface = event != Event.LEFT
     np.testing.assert_allclose(t[on_surface], half[on_surface], rtol=1e-3, atol=1e-3)
     assert np.isinf(t[~on_surface]).all()
+
+
+@pytest.mark.parametrize("kind", ["camera", "light"])
+def test_all_edges_have_the_same_kernels(glass: Problem, kind: str) -> None:
+    """They take seconds to compile in a large scene."""
+
+    def kernels(depth: int) -> set[Any]:
+        recorder = PathRecorder(glass, depth)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            tracks = recorder.from_camera(22.0, 24.0, 50) if kind == "camera" else recorder.from_light(None, 50)
+            history = dr.kernel_history()
+        assert tracks.positions.shape[1] == depth + 1
+        return {entry["hash"] for entry in history if entry["type"] == dr.KernelType.JIT}
+
+    assert kernels(9) == kernels(3)
 
 
 def test_camera_paths_follow_the_walk(glass: Problem) -> None:

@@ -120,6 +120,34 @@ class ProgressView:
         return fields
 
 
+class Steps:
+    """The current step of work that is not a run: a live line on a terminal, occasional lines elsewhere."""
+
+    def __init__(self, console: Console, text: str) -> None:
+        self._console = console
+        self._status = console.status(text)
+        self._next_line = time.monotonic() + 1.0
+        self._wait = 1.0
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._status.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._status.stop()
+
+    def update(self, text: str) -> None:
+        """Begin a step."""
+        self._status.update(text)
+        if not self._console.is_terminal and time.monotonic() >= self._next_line:
+            self._wait = min(self._wait * _LINE_RATIO, _LINE_EVERY)
+            self._next_line = time.monotonic() + self._wait
+            note(self._console, text)
+
+
 def print_error(message: str) -> None:
     """Print ``message`` as one line on standard error."""
     sys.stderr.write(f"error: {' '.join(message.split())}\n")

@@ -78,6 +78,8 @@ def develop(
         strength=strength,
         tell=lambda text: note(console, text),
     )
+    if exposure == "auto":  # by the raw picture: a denoiser takes away bright pixels and spreads light into dark ones
+        exposure = display.auto_exposure(display.develop(read.layers, components=wanted))
     how = {"from": str(picture), "denoise": denoise, "layers": layers, "radius": radius, "strength": strength}
     for path in outputs:
         save_result(

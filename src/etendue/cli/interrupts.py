@@ -1,52 +1,93 @@
-"""Ctrl-C and SIGTERM while rendering: the first stops after the current pass, a second ends the process at once."""
+"""Ctrl-C and SIGTERM during a command: the first signal requests its end, a second one ends the process at once."""
 
 from __future__ import annotations
 
-import os
 import signal
+import sys
+import threading
+import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Self
 
 #: Signals that request the end of a process.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Seconds within which a further signal is the same request: ``timeout`` sends one to its child and one to the group of
+#: the child, and a key is easily pressed twice.
+ONE_REQUEST = 1.0
+#: Seconds after which a signal that was put off comes again.
+_AGAIN = 0.05
 
 
 class Interrupts:
-    """Signal handlers during a block; the previous ones are restored after it. Main thread only.
+    """Signal handlers during a block in the main thread; the previous ones are restored after it.
 
-    ``stop`` is called at the first signal; ``abort`` at the second, just before the process ends: the rendering thread
-    is inside compiled code and cannot be ended otherwise.
+    ``stop`` is called at the first signal, ``abort`` at each that comes more than :data:`ONE_REQUEST` seconds after the
+    one before. Both may raise. While ``wait()``, a signal is put off. A block may be inside another, which handles
+    signals before and after it.
     """
 
-    def __init__(self, stop: Callable[[], None], abort: Callable[[], None]) -> None:
-        self._stop = stop
-        self._abort = abort
+    def __init__(
+        self, stop: Callable[[], object], abort: Callable[[], object], wait: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._stop, self._abort, self._wait = stop, abort, wait
         self._former: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+        self._latest = -float("inf")
+        self._later: threading.Timer | None = None
         #: The received signal, if any.
         self.received: int | None = None
 
     def __enter__(self) -> Self:
-        for number in SIGNALS:
-            self._former[number] = signal.signal(number, self._handle)
+        if threading.current_thread() is threading.main_thread():
+            self._former = {number: signal.signal(number, self._handle) for number in SIGNALS}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._later is not None:
+            self._later.cancel()
         for number, handler in self._former.items():
             signal.signal(number, handler)
+            if isinstance(around := getattr(handler, "__self__", None), Interrupts):
+                around._latest = self._latest  # what repeats a signal may come after this block
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.received is not None:
-            try:
-                self._abort()
-            finally:  # even if printing from within a signal handler fails
-                os._exit(128 + number)
-        self.received = number
-        self._stop()
+        if self._wait():
+            if self._later is not None:
+                self._later.cancel()
+            self._later = threading.Timer(_AGAIN, signal.raise_signal, (number,))
+            self._later.start()
+            return
+        now = time.monotonic()
+        if now - self._latest < ONE_REQUEST:
+            return
+        self._latest = now
+        if self.received is None:
+            self.received = number
+            self._stop()
+        else:
+            self._abort()
 
     @property
     def exit_code(self) -> int:
         """0, or the exit status of a process ended by a signal."""
         return 0 if self.received is None else 128 + self.received
+
+
+class _Left(KeyboardInterrupt):
+    """Not KeyboardInterrupt itself: Python ends by SIGINT if that has passed an ``exec``, even if it was caught."""
+
+
+def leaving() -> Interrupts:
+    """A block that a signal leaves by :class:`KeyboardInterrupt`, but not in the midst of writing a file."""
+
+    def leave() -> None:
+        raise _Left
+
+    return Interrupts(leave, leave, _is_writing)
+
+
+def _is_writing() -> bool:
+    film = sys.modules.get("etendue.film")  # it imports NumPy, which most commands that end early do not need
+    return film is not None and film.is_writing()

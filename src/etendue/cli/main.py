@@ -23,6 +23,7 @@ from .console import ConsoleHandler, error_console, note, print_error, remember_
 from .developing import develop
 from .film_picture import film_picture
 from .inspection.viewing import view
+from .interrupts import leaving
 from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
@@ -38,6 +39,9 @@ app = typer.Typer(
 )
 # The base class of typer's usage errors; its module depends on the version of typer.
 _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+#: The exit status that typer gives to a command that was left by KeyboardInterrupt.
+_LEFT = 130
 
 
 @cache
@@ -55,28 +59,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG if debug else logging.WARNING)
+    interrupts = leaving()
     try:
-        return int(_command().main(words, prog_name="etendue", standalone_mode=False) or 0)
-    except (EtendueError, _UsageError) as error:
-        if debug:
-            traceback.print_exc()
+        with interrupts:
+            status = int(_command().main(words, prog_name="etendue", standalone_mode=False) or 0)
+        return (interrupts.exit_code or _LEFT) if status == _LEFT else status
+    except (Exception, KeyboardInterrupt) as error:
+        # After a signal, any error is its consequence: compiled code turns KeyboardInterrupt into others.
+        return interrupts.exit_code or _reported(error, debug)
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+
+def _reported(error: BaseException, debug: bool) -> int:
+    """Print an error in one line; returns the exit status."""
+    if isinstance(error, (typer.Abort, KeyboardInterrupt)):
+        return _LEFT
+    if isinstance(error, BrokenPipeError):
+        return 141
+    if debug:
+        traceback.print_exc()
+    if isinstance(error, (EtendueError, _UsageError)):
         text = error.format_message() if hasattr(error, "format_message") else str(error)
         # Without arguments typer raises with the help text, already printed, or without a message.
         if text.strip():
             print_error(text)
         return int(getattr(error, "exit_code", 1))
-    except typer.Abort:
-        return 130
-    except BrokenPipeError:
-        return 141
-    except Exception as error:
-        if debug:
-            traceback.print_exc()
-        print_error(f"{describe(error)} (unexpected; --debug shows where, please report it)")
-        return 70
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
+    print_error(f"{describe(error)} (unexpected; --debug shows where, please report it)")
+    return 70
 
 
 def _show_version(wanted: bool) -> None:

@@ -10,7 +10,7 @@ import typer
 from etendue.core import OptionError
 
 from . import options as opt
-from .console import error_console, note, say
+from .console import Steps, error_console, note, say
 from .particles import app as app
 
 
@@ -84,7 +84,7 @@ def make(
     source = FileSource(file)
     choose_device(variant, threads)
     console = error_console()
-    with console.status("loading the scene") as status:
+    with Steps(console, "loading the scene") as status:
         problem = source.scene(scene, opt.parse_pairs(param, "-P"), memory)
         made = make_map(problem, source, chosen, status.update)
         written: list[Path] = []

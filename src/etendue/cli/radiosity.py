@@ -317,7 +317,7 @@ def _run(request: LinesRequest, open_work: Callable[..., Any], device: opt.Devic
 
     device.choose()
     began, console = time.perf_counter(), error_console()
-    with _ended_by_ctrl_c(request.checkpoint):
+    with _ended_by_a_signal(request, request.checkpoint):
         work = open_work(is_watched=console.is_terminal, tell=lambda text: note(console, text))
         describe_patches(request, work.patches)
         with device.opened() as work.cluster:
@@ -335,7 +335,7 @@ def _run_exact(request: FormFactorRequest, device: opt.Device) -> int:
 
     device.choose()
     began = time.perf_counter()
-    with _ended_by_ctrl_c(None):
+    with _ended_by_a_signal(request):
         _, patches = request.load()
         describe_patches(request, patches)
         exact_to_files(request, patches)
@@ -349,7 +349,7 @@ def _run_ambient(request: RadiosityRequest, device: opt.Device) -> int:
 
     device.choose()
     began = time.perf_counter()
-    with _ended_by_ctrl_c(None):
+    with _ended_by_a_signal(request):
         status = ambient_to_files(request)
     _end(began, request)
     return status
@@ -361,7 +361,7 @@ def _write_again(request: RadiosityRequest, solution: Path, given: Mapping[str, 
     from .solutions import solution_to_files
 
     device.choose()
-    with _ended_by_ctrl_c(None):
+    with _ended_by_a_signal(request):
         problem = request.problem(lambda text: note(error_console(), text))
         status = solution_to_files(request, problem, solution, given)
     say("\n".join(map(str, request.files)))
@@ -374,15 +374,16 @@ def _end(began: float, request: LinesRequest) -> None:
 
 
 @contextmanager
-def _ended_by_ctrl_c(checkpoint: Path | None) -> Iterator[None]:
-    """Handles Ctrl-C while no lines are cast: a message and the exit status. Files are written atomically, so nothing
-    has to be cleaned up."""
+def _ended_by_a_signal(request: LinesRequest, checkpoint: Path | None = None) -> Iterator[None]:
+    """Says what was written if Ctrl-C or SIGTERM ends the block. Files are atomic, so nothing has to be cleaned up."""
+    began = time.time()
     try:
         yield
     except KeyboardInterrupt:
-        kept = checkpoint is not None and checkpoint.exists()
-        note(
-            error_console(),
-            f"stopped; {f'continue by: etendue resume {checkpoint}' if kept else 'nothing was written'}",
-        )
-        raise typer.Exit(130) from None
+        left = "nothing was written"
+        if written := [str(path) for path in request.files if path.exists() and path.stat().st_mtime >= began]:
+            left = f"written: {', '.join(written)}"
+        if checkpoint is not None and checkpoint.exists():
+            left = f"continue by: etendue resume {checkpoint}"
+        note(error_console(), f"stopped; {left}")
+        raise typer.Abort from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ def choose_device(variant: str | None, threads: int | None) -> None:
 def follow(open_session: Callable[[], Session[T]], console: Console, label: str) -> Outcome[T]:
     """Start a session and show its progress until it ends. Raises the errors of the session."""
     with ProgressView(console, label) as view:
-        announced = False
+        announced = is_late = False
         sessions: list[Session[T]] = []
 
         def announce() -> None:
@@ -52,15 +53,23 @@ def follow(open_session: Callable[[], Session[T]], console: Console, label: str)
             nonlocal announced
             if interrupts.received is not None and not announced:
                 announced = True
-                note(console, "stopping after this pass; press again to abort at once", "yellow")
+                words = "writing the files" if is_late else "stopping after this pass; press again to abort at once"
+                note(console, words, "yellow")
 
         def stop() -> None:
+            nonlocal is_late
             for session in sessions:
+                is_late = session.finishing
                 session.request_stop()
 
         def abort() -> None:
-            view.close()
-            note(console, "aborted", "red")
+            if any(session.finishing for session in sessions):
+                return  # what was rendered would be lost
+            try:
+                view.close()
+                note(console, "aborted", "red")
+            finally:  # the thread of the session is inside compiled code, and cannot be ended otherwise
+                os._exit(interrupts.exit_code)
 
         with Interrupts(stop, abort) as interrupts:
             session = open_session()

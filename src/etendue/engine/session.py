@@ -45,6 +45,7 @@ class Session(InNotebooks, Generic[T]):
         self._stop = threading.Event()
         self._done = threading.Event()
         self._runner: Runner | None = None
+        self._made = False
         self._result: list[T] = []
         self._error: BaseException | None = None
         self._flags = jit_flags()
@@ -55,8 +56,11 @@ class Session(InNotebooks, Generic[T]):
         try:
             set_jit_flags(self._flags)
             self._runner = self._build(self._stop)
-            self._result.append(self._finish(self._runner.run()))
+            run = self._runner.run()
+            self._made = True
+            self._result.append(self._finish(run))
         except RunError as error:
+            self._made = True
             self._error = error
             self._keep(error.run)
         except BaseException as error:  # raised by `wait`
@@ -84,6 +88,11 @@ class Session(InNotebooks, Generic[T]):
     def prepared(self) -> bool:
         """Whether the scene is loaded and the method prepared."""
         return self._runner is not None
+
+    @property
+    def finishing(self) -> bool:
+        """Whether the passes are made, and the result is being computed and written."""
+        return self._made and self.running
 
     @property
     def progress(self) -> Progress:

@@ -26,7 +26,7 @@ from .filters import PixelFilter
 from .fireflies import without_fireflies
 from .flip import flip, flip_error, flip_is_installed
 from .layers import ALBEDO, NORMAL, SHAPE
-from .output import check_writable, replacing, write_bytes
+from .output import check_writable, is_writing, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
@@ -54,6 +54,7 @@ __all__ = [
     "flip_error",
     "flip_is_installed",
     "is_matte",
+    "is_writing",
     "layer_path",
     "luminance_rmse",
     "matte_attributes",

@@ -10,6 +10,9 @@ from pathlib import Path
 
 from etendue.core import OutputError
 
+#: The temporary files of :func:`replacing`.
+_being_written: set[Path] = set()
+
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise :class:`OutputError` if ``path`` could not be written now; leaves nothing behind."""
@@ -32,6 +35,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     part = _new_part(target)
+    _being_written.add(part)
     try:
         yield part
         with part.open("rb+") as file:
@@ -42,6 +46,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise _failure(target, error) from None
     finally:
         part.unlink(missing_ok=True)
+        _being_written.discard(part)
+
+
+def is_writing() -> bool:
+    """Whether a file is being written by :func:`replacing` in this process."""
+    return bool(_being_written)
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:

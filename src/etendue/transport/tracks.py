@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -156,10 +157,9 @@ class PathRecorder:
         camera = isinstance(path, CameraPath)
         first = dr.select(path.active, mi.UInt32(Event.START), mi.UInt32(Event.NONE))
         columns = [_column(path.ray.o, path.throughput, first, paths)]
-        while len(columns) <= self._most:
-            dr.eval(path)
-            if not dr.any(path.active):
-                break
+        # Values that Dr.Jit knows, such as the number of the edge, would make each edge a kernel of its own.
+        dr.make_opaque(path)
+        while len(columns) <= self._most and dr.any(path.active):
             was_active, before = mi.Bool(path.active), mi.Color3f(path.throughput)
             vertex = walker.arrive(path)
             emission, light, direct = mi.Color3f(0.0), mi.Point3f(dr.nan), mi.Color3f(0.0)
@@ -187,7 +187,7 @@ class PathRecorder:
             kind = dr.select(vertex.valid, kind, mi.UInt32(Event.LEFT))
             kind = dr.select(was_active, kind, mi.UInt32(Event.NONE))
             smooth = at_surface & vertex.smooth
-            columns.append(_column(position, before, kind, paths, smooth, emission, light, direct))
+            columns.append(_column(position, before, kind, paths, smooth, emission, light, direct, path))
         return _joined(columns)
 
 
@@ -225,14 +225,16 @@ def _column(
     emission: mi.Color3f | float = 0.0,
     light: mi.Point3f | float = float("nan"),
     direct: mi.Color3f | float = 0.0,
+    state: Any = None,
 ) -> _Column:
-    """The vertex of each path, on the host: (paths, 5, 3) numbers, (paths,) events, (paths,) smooth."""
+    """The vertex of each path, on the host: (paths, 5, 3) numbers, (paths,) events, (paths,) smooth. ``state`` of the
+    paths is evaluated by the same kernel."""
     held = event != mi.UInt32(Event.NONE)
     parts = [dr.select(held, position, dr.nan), dr.select(held, throughput, 0.0)]
     parts += [mi.Color3f(emission), mi.Point3f(light), mi.Color3f(direct)]
     parts = [part + dr.zeros(type(part), paths) for part in parts]
     smooth = mi.Bool(smooth) & dr.full(mi.Bool, True, paths)
-    dr.eval(parts, event, smooth)
+    dr.make_opaque(parts, event, smooth, state)
     numbers = np.stack([np.array(part, dtype=np.float32).T for part in parts], axis=1)
     events = np.broadcast_to(np.array(event), (paths,)).astype(np.int8)
     return numbers, events, np.array(smooth)

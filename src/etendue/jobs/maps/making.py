@@ -70,13 +70,15 @@ def make_map(
     """A map of ``particles`` on the surfaces of ``scene``, an argument or a result of :func:`etendue.scene.load`.
 
     A histogram and kernels are added up pass by pass, in the memory of their cells and one pass; ``knn`` holds all
-    particles, 350 bytes each. ``tell`` receives a line per pass. Raises :class:`SurfaceError` for particles of another
-    scene, for none, and for surfaces that cannot have a map, :class:`OptionError` for options.
+    particles, 350 bytes each. ``tell`` receives a line for each step and pass. Raises :class:`SurfaceError` for
+    particles of another scene, for none, and for surfaces that cannot have a map, :class:`OptionError` for options.
     """
     o = options or MapOptions()
     problem = scene if isinstance(scene, Problem) else load(scene, check=False)
+    tell("dividing the surfaces")
     surfaces = MapSurfaces(problem, o.cells)
     if o.kind == "knn":
+        tell(f"reading particles for {len(surfaces.patches)} cells")
         held = _held(particles, problem.memory)
         nearest = NearestMap(surfaces, held, o.k, o.kernel, o.boundary == "renormalise", problem.memory)
         return MadeMap(nearest, surfaces, len(held))
@@ -84,14 +86,17 @@ def make_map(
         builder: HistogramBuilder | KernelBuilder = HistogramBuilder(surfaces)
         total = _added(builder, particles, tell, "histogram")
         return MadeMap(builder.build(), surfaces, total)
+    tell(f"choosing bandwidths for {len(surfaces.patches)} cells")
     widths = _widths(surfaces, particles, o)
     boundary: Any = o.boundary
     builder = KernelBuilder(surfaces, widths, o.kernel, boundary)
     total = _added(builder, particles, tell, "pilot" if o.kind == "variable" else "kernels")
     if o.kind == "variable":
+        tell("pilot: the surface within each kernel")
         widths = variable_bandwidths(builder.build(), widths)
         builder = KernelBuilder(surfaces, widths, o.kernel, boundary)
         _added(builder, particles, tell, "kernels")
+    tell("kernels: the surface within each kernel")
     made = builder.build()
     made.kind = o.kind
     return MadeMap(made, surfaces, total)

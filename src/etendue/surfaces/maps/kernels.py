@@ -19,28 +19,28 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import drjit as dr
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from etendue.core import Array, copied_to_device
 from etendue.density import KdTree, Kernel, kernel_of, relative_widths
-from etendue.scene import RenderSpace
 
 from ..errors import SurfaceError
-from ..patches import Patches
 from .cells import GROUPS, PatchMap, check_groups, group_of, mean_of_groups
 from .places import Located, MapSurfaces
+from .points import Apart, merged, quadrature
 from .protocol import SurfaceParticles, normals_on_device, points_on_device
 from .rectangles import Mirror
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-Index = NDArray[np.int64]
 Correction = Literal["none", "renormalise", "linear", "reflect"]
 
 #: Least cosine between the normals of a place and of a particle that counts there, and greatest height of the particle
 #: above the tangent plane of the place, in bandwidths.
 SAME_SIDE, FLAT = 0.8, 0.3
+#: Edge, in reaches of a kernel, of the grid in which points of the integral over the surface become one.
+_POINT = 1 / 8
 #: Least reach of a kernel in cells; with less, the integral over the surface is inaccurate.
 _LEAST_REACH = 2.0
 #: Least and greatest bandwidth of a variable kernel, relative to that of a fixed one.
@@ -105,7 +105,7 @@ class KernelBuilder:
                 continue
             if self._mirror is not None:
                 part, h = self._mirror.images(part, h, self.kernel.reach)
-            self.sums[number] += self._frames.sums(part, part.power, h, self.kernel, self._moments)
+            self.sums[number] += self._frames.sums(part, h, self.kernel, self._moments)
 
     def build(self, smooth: bool = True) -> PatchMap:
         """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none.
@@ -124,13 +124,13 @@ class KernelBuilder:
         n = len(self.bandwidths)
         if self.boundary == "none":
             return np.ones((n, 1))
-        points, areas, owner = quadrature(self.surfaces.patches, self.surfaces.space)
+        points, owner = quadrature(self.surfaces.patches, self.surfaces.space)
         h = self.bandwidths[owner]
         if self._mirror is not None:
             points, h = self._mirror.images(points, h, self.kernel.reach)
-            areas = points.power[:, 0]
-        of_one = np.repeat(areas[:, None], 3, axis=1)
-        found = self._frames.sums(points, of_one, h, self.kernel, 6 if self.boundary == "linear" else 1)[:, :, 0]
+        few, chosen = merged(points, points.shape, h, _POINT * self.kernel.reach * self.surfaces.space.scale)
+        moments = 6 if self.boundary == "linear" else 1
+        found = self._frames.sums(few, h[chosen], self.kernel, moments)[:, :, 0]
         share = found[:, 0]
         plain = np.divide(1.0, share, out=np.zeros(n), where=share > 0)
         if self.boundary != "linear":
@@ -139,7 +139,7 @@ class KernelBuilder:
         system = np.moveaxis(np.array([[share, u, v], [u, uu, uv], [v, uv, vv]]), 2, 0) * plain[:, None, None]
         # Lengths in bandwidths of the cell, so that all numbers are about 1.
         unit = np.ones((n, 3))
-        unit[:, 1:] = 1 / self._frames.local_length(self.bandwidths)[:, None]
+        unit[:, 1:] = 1 / self._frames.apart.length(self.bandwidths)[:, None]
         system *= unit[:, :, None] * unit[:, None, :]
         # Without a regular system there is no plane: the cell keeps the plain correction.
         sound = np.linalg.det(system) > _SINGULAR
@@ -169,35 +169,28 @@ class _Frames:
     def __init__(self, surfaces: MapSurfaces) -> None:
         import mitsuba as mi
 
-        patches = surfaces.patches
-        self._surfaces = surfaces
-        centre, self._unit = patches.sphere
-        self._origin, self._unit = surfaces.space.from_scene(centre), self._unit * surfaces.space.scale
+        patches, shapes = surfaces.patches, surfaces.shapes
+        self.apart = Apart(patches, surfaces.space, shapes)
         # Neighbouring lanes visit the same nodes of a tree if they are close in space, as the cells of a face are.
-        self._p = points_on_device(self._local(surfaces.space.from_scene(patches.centres)))
+        centres = surfaces.space.from_scene(patches.centres)
+        self._p = points_on_device(self.apart.located(centres, self.apart.number(shapes)))
         self._n = normals_on_device(patches.normals)
         self._s, self._t = mi.coordinate_system(self._n)
-        self._shape = copied_to_device(mi.Float, surfaces.shapes.astype(np.float32))
+        self._shape = copied_to_device(mi.Float, shapes.astype(np.float32))
         dr.eval(self._s, self._t)
 
-    def _local(self, rows: Array) -> Array:
-        return (rows - self._origin) / self._unit
-
-    def local_length(self, lengths: Array) -> Array:
-        """Lengths in the scene's units, converted to radii of the scene."""
-        return lengths * (self._surfaces.space.scale / self._unit)
-
-    def sums(self, at: Located, values: Array, bandwidths: Array, kernel: Kernel, moments: int) -> Array:
-        """(n, moments, 3) sums of ``values`` (m, 3) times kernels of ``bandwidths`` (m,), per area of the scene, times
-        1, u, v, u u, u v, v v: tangential offsets in radii of the scene."""
+    def sums(self, at: Located, bandwidths: Array, kernel: Kernel, moments: int) -> Array:
+        """(n, moments, 3) sums of powers times kernels of ``bandwidths`` (m,), per area of the scene, times 1, u, v,
+        u u, u v, v v: tangential offsets in radii of the scene."""
         import mitsuba as mi
 
-        h = self.local_length(bandwidths)
-        tree = KdTree(points_on_device(self._local(at.position)), reach=_floats(h * kernel.reach))
-        scaled = values * (kernel.normalisation(2) / bandwidths**2)[:, None]
+        h = self.apart.length(bandwidths)
+        places = self.apart.located(at.position, self.apart.number(at.shape))
+        tree = KdTree(points_on_device(places), reach=_floats(h * kernel.reach))
+        scaled = at.power * (kernel.normalisation(2) / bandwidths**2)[:, None]
         order = np.array(tree.order)
         rows = np.zeros((len(order), 12), np.float32)
-        rows[:, :3], rows[:, 3] = self._local(at.position)[order], h[order] ** -2.0
+        rows[:, :3], rows[:, 3] = places[order], h[order] ** -2.0
         rows[:, 4:7], rows[:, 7] = at.normal[order], at.shape[order]
         rows[:, 8:11] = scaled[order]
         packed = copied_to_device(mi.Float, rows)
@@ -219,30 +212,6 @@ class _Frames:
         found = tree.covering(self._p, start, add)
         dr.eval(found)
         return np.stack([np.array(part, dtype=np.float64).T for part in found], axis=1)
-
-
-#: Weights (4 points, 4 corners) of the centres of the four equal parts of a face.
-_OF_TRIANGLES = np.array([[4, 1, 1, 0], [1, 4, 1, 0], [1, 1, 4, 0], [2, 2, 2, 0]]) / 6
-_OF_QUADRILATERALS = np.array([[9, 3, 1, 3], [3, 9, 3, 1], [1, 3, 9, 3], [3, 1, 3, 9]]) / 16
-
-
-def quadrature(patches: Patches, space: RenderSpace) -> tuple[Located, Array, Index]:
-    """Four points of each face of patches, with the area and the patch of each point."""
-    corners = patches.vertices[patches.faces]
-    is_triangle = patches.faces[:, 2] == patches.faces[:, 3]
-    weights = np.where(is_triangle[:, None, None], _OF_TRIANGLES, _OF_QUADRILATERALS)
-    points = np.einsum("fpk,fkx->fpx", weights, corners)
-    two = np.flatnonzero(patches.back >= 0)
-    owner = np.concatenate([patches.front, patches.back[two]])
-    points = np.concatenate([points, points[two]]).reshape(-1, 3)
-    normals = np.concatenate([patches.face_normals, -patches.face_normals[two]])
-    areas = np.repeat(np.concatenate([patches.face_areas, patches.face_areas[two]]) / 4, 4)
-    owner, normals = np.repeat(owner, 4), np.repeat(normals, 4, axis=0)
-    assert patches.shapes is not None
-    position = space.from_scene(points)
-    power = np.repeat(areas[:, None], 3, axis=1)
-    at = Located(position, normals, patches.shapes[owner], power, np.zeros(len(owner), np.uint32))
-    return at, areas, owner
 
 
 def _floats(values: Array) -> mi.Float:

@@ -11,20 +11,20 @@ discs of a caustic, the area of the whole disc is used.
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 
-from etendue.core import Array, copied_to_device, free_memory, is_whole
+from etendue.core import copied_to_device, free_memory, is_whole
 from etendue.density import KdTree, Kernel, kernel_of
-from etendue.scene import RenderSpace
 
 from ..errors import SurfaceError
 from ..patches import Patches
-from .kernels import FLAT, SAME_SIDE, Index, quadrature
+from .kernels import FLAT, SAME_SIDE
 from .places import Located, MapSurfaces
+from .points import OWN, Apart, Index, merged, quadrature
 from .protocol import Irradiance, SurfaceParticles, points_on_device
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ PARTICLE_BYTES = 350
 _LEAST_POINTS = 24.0
 #: Cells for this integral in a disc of mean size, and least and greatest number of cells of the scene.
 _CELLS, _LEAST_CELLS, _MOST_CELLS = 12, 1000, 400_000
-#: Greatest distance between points of one shape, and distance between the places of sides, in radii of the scene.
-_OWN, _APART = 2.2, 5.0
 #: Factor on the squared distance of the farthest particle, so that it is not inside.
 _INSIDE = 1.0 - 1e-6
 
@@ -88,8 +86,9 @@ class NearestMap:
         located, cell = located.only(cell >= 0), cell[cell >= 0]
         surfaces.warn_of_dark(np.unique(located.shape))
         unit = surfaces.patches.sphere[1]
-        self._sides = _Sides(surfaces.patches, self.space)
-        side = self._sides.of(surfaces.patches, cell)
+        keys = _side_keys(surfaces.patches)
+        self._sides = Apart(surfaces.patches, self.space, keys)
+        side = self._sides.number(keys[cell])
         self._particles = _Tree(located, side, self._sides)
         self._area = None
         if correct:
@@ -97,17 +96,18 @@ class NearestMap:
             size = float(surfaces.whole.areas.sum()) / count
             fine = surfaces.whole.subdivided(size)
             self._least_area = dr.opaque(mi.Float, _LEAST_POINTS / 4 * size / unit**2)
-            points, areas, owner = quadrature(fine, self.space)
+            points, owner = quadrature(fine, self.space)
+            own, edge = _side_keys(fine)[owner], np.sqrt(size) / 4 * self.space.scale
+            points, chosen = merged(points, own, np.ones(len(points)), edge)
             # In units of the local frame, like the area of the disc.
-            values = np.repeat(areas[:, None] / unit**2, 3, axis=1)
-            points = Located(points.position, points.normal, points.shape, values, points.path)
-            self._area = _Tree(points, self._sides.of(fine, owner), self._sides)
+            points = replace(points, power=points.power / unit**2)
+            self._area = _Tree(points, self._sides.number(own[chosen]), self._sides)
         self.particles, self.correct = hits, correct
         #: For each side of a shape: the number of particles in a disc, at most k.
         there = np.bincount(side, minlength=self._sides.count)
         self._k = copied_to_device(mi.UInt32, np.minimum(there, self.k).astype(np.uint32))
         #: For each side of a face: the side of its shape.
-        of_face = self._sides.of(surfaces.patches, surfaces.places.patch)
+        of_face = self._sides.number(keys[surfaces.places.patch])
         self._of_face = copied_to_device(mi.UInt32, of_face.astype(np.uint32))
         self._per_area = 1 / unit**2
 
@@ -122,7 +122,7 @@ class NearestMap:
         k = dr.gather(mi.UInt32, self._k, side, place.found)
         local = self._sides.placed(p, side)
         dr.eval(local, n, k, place.found)
-        squared = self._particles.tree.kth_distance_squared(local, k, _OWN**2, place.found & (k > 0))
+        squared = self._particles.tree.kth_distance_squared(local, k, OWN**2, place.found & (k > 0))
         dr.eval(squared)
         lanes = place.found & (k > 0) & (squared > 0)
         flux, squares = self._particles.total(local, n, squared, self.kernel, lanes)
@@ -133,45 +133,6 @@ class NearestMap:
         scale = dr.select(lanes & (area > 0), self._per_area / area, 0.0)
         counted = lanes & dr.any(squares > 0)
         return Irradiance(flux * scale, dr.select(counted, dr.sqrt(squares) * scale, dr.nan), place.found)
-
-
-class _Sides:
-    """The sides of shapes, each shifted to a place of its own. The distance between places exceeds the size of a side,
-    so that one search among the points of all sides finds only those of one side.
-
-    Coordinates are in radii of the scene and grow with the cube root of the number of sides: with a thousand sides,
-    single precision rounds them to some millionths of the scene.
-    """
-
-    def __init__(self, patches: Patches, space: RenderSpace) -> None:
-        import mitsuba as mi
-
-        centre, unit = patches.sphere
-        self._origin, self._unit = space.from_scene(centre), unit * space.scale
-        self._keys = np.unique(_side_keys(patches))
-        self.count = len(self._keys)
-        row = math.ceil(self.count ** (1 / 3) - 1e-9)
-        number = np.arange(self.count)
-        grid = np.stack([number % row, number // row % row, number // row**2], axis=1)
-        self._place = _APART * (grid - (row - 1) // 2)
-        self._on_device = copied_to_device(mi.Float, self._place.astype(np.float32))
-
-    def of(self, patches: Patches, patch: Index) -> Index:
-        """The sides of the patches with the indices ``patch``, in any division ``patches`` of the same shapes."""
-        found: Index = np.searchsorted(self._keys, _side_keys(patches))[patch]
-        return found
-
-    def located(self, positions: Array, side: Index) -> Array:
-        """Shifted positions of points (m, 3) of the render space."""
-        found: Array = (positions - self._origin) / self._unit + self._place[side]
-        return found
-
-    def placed(self, p: mi.Point3f, side: mi.UInt32) -> mi.Point3f:
-        """As :meth:`located`, on the device."""
-        import mitsuba as mi
-
-        local = (mi.Point3f(p) - mi.Point3f(*map(float, self._origin))) * float(1 / self._unit)
-        return local + dr.gather(mi.Point3f, self._on_device, side)
 
 
 def _side_keys(patches: Patches) -> Index:
@@ -185,7 +146,7 @@ def _side_keys(patches: Patches) -> Index:
 class _Tree:
     """Points with normals and values in a kd-tree."""
 
-    def __init__(self, at: Located, side: Index, sides: _Sides) -> None:
+    def __init__(self, at: Located, side: Index, sides: Apart) -> None:
         import mitsuba as mi
 
         places = sides.located(at.position, side)
