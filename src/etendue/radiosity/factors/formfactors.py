@@ -83,8 +83,9 @@ class FormFactors(InNotebooks):
         the smallest change.
 
         The mean of ``A_i F_ij`` and ``A_j F_ji``, the shares of the sky and of backs are changed with the smallest
-        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both directions. Raises
-        :class:`RadiosityError` if a factor would become negative, which means that there are too few lines.
+        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both
+        directions. Raises :class:`RadiosityError` if a factor would become negative, which means that there are too few
+        lines.
         """
         from scipy.sparse.linalg import lsmr
 
@@ -92,8 +93,8 @@ class FormFactors(InNotebooks):
         exchange = ((exchange + exchange.T) / 2).tocsr()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
         ends = self.areas * (self.sky + self.dark)
-        # The smallest changes have the form S_ij (x_i + x_j) of pairs, and S_i x_i of the sky and of backs, which belong
-        # to one row. Row sums then require (diag(all sums) + S) x = missing.
+        # The smallest changes have the form S_ij (x_i + x_j) for pairs, and S_i x_i for the sky and for backs, which
+        # belong to one row. Row sums then require (diag(all sums) + S) x = missing.
         missing, system = self.areas - sums - ends, _diagonal(sums + ends) + exchange
         x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]
         changed = exchange.tocoo()

@@ -143,7 +143,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
     check_estimator(estimator)
     patches, tree = segments.patches, segments.tree
     found, both = segments.counts()
-    n, lines = len(patches), segments.counted.astype(np.float64)
+    lines = segments.counted.astype(np.float64)
     if estimator in ("reciprocal", "pooled"):
         matrix = (found + found.T - both).tocoo()
         i, j = matrix.coords

@@ -139,8 +139,8 @@ def multipath_bundles(
             "single lines: take multipath()"
         )
     expected, most = engine.expected(1)[:, None], bundles.most(patches)[:, None]
-    reflected = (patches.areas[:, None] * patches.reflectance).sum(axis=0).max() / patches.areas.sum()
-    for_line = np.minimum(_SHARES / (count * (1 - reflected) * expected), 1 / most)
+    absorbed = (patches.areas[:, None] * (1 - patches.reflectance)).sum(axis=0).min() / patches.areas.sum()
+    for_line = np.minimum(_SHARES / (count * max(absorbed, 1e-12) * expected), 1 / most)
     at_once = np.minimum(1 / (count * expected), 1 / most)
 
     sky = _sky_per_line(patches, engine.expected(count))
