@@ -15,7 +15,7 @@ from ..errors import RadiosityError
 #: Largest share of light that leaves a closed part of a scene because of rounding.
 _LEAK = 1e-5
 _NO_END = (
-    "{} sends light into a closed part of the scene where all reflectances are 1: it would never be absorbed; give a "
+    "{} light into a closed part of the scene where all reflectances are 1: it would never be absorbed; give a "
     "patch there a smaller reflectance"
 )
 
@@ -49,7 +49,7 @@ def check_absorption(patches: Patches) -> None:
         ours = corners[part == k].reshape(-1, 3)
         if np.array_equal([ours.min(axis=0), ours.max(axis=0)], patches.bounds):  # around all others
             first = np.flatnonzero((patches.emission > 0)[:, endless].any(axis=1))[0]
-            raise RadiosityError(_NO_END.format(f"patch {first}"))
+            raise RadiosityError(_NO_END.format(f"patch {first} sends"))
 
 
 def absorbed(patches: Patches, transport: Ends) -> Patches:
@@ -67,8 +67,8 @@ def absorbed(patches: Patches, transport: Ends) -> Patches:
     kept = ~ends & sees[:, None]
     lit = np.flatnonzero((kept & (patches.emission > 0)).any(axis=1))
     if len(lit):
-        others = f" and {len(lit) - 1} others" if len(lit) > 1 else ""
-        raise RadiosityError(_NO_END.format(f"patch {lit[0]}{others}"))
+        which = f"patch {lit[0]} sends" if len(lit) == 1 else f"patch {lit[0]} and {len(lit) - 1} more send"
+        raise RadiosityError(_NO_END.format(which))
     return patches.with_properties(reflectance=np.where(kept, 0.0, patches.reflectance)) if kept.any() else patches
 
 
