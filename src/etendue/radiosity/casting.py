@@ -38,7 +38,6 @@ from .lines.replicates import Replicates
 from .lines.segments import Pairs, Segments
 from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
-from .solvers.absorption import check_absorption
 from .solvers.shot import SEQUENCES, FirstShot, Shot, ShotSums, small_emitters
 
 #: Rays of a first shot per segment. They take half the time of casting; half of the error then comes from the lines.
@@ -138,8 +137,6 @@ class LineCasting:
         self.close()
         self._shot, self.owed = None, (0, 0)
         patches = self.patches = problem.patches
-        if self.goal == "irradiance":
-            check_absorption(patches)
         self._error = IrradianceError(patches, self._options.replicates)
         self._seed = seed
         self.engine = self._engine_for(patches)

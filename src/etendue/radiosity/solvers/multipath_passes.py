@@ -18,7 +18,6 @@ from ..lines.chained import ChainedRays
 from ..lines.engine import LineEngine
 from ..parallel import compiled
 from ..problem import PatchProblem
-from .absorption import check_absorption
 from .multipath import LineExchange, Multipath
 from .shot import FirstShot, shot_at_patches, small_emitters
 from .system import Solution
@@ -76,10 +75,9 @@ class MultipathPasses:
     def prepare(self, problem: PatchProblem, seed: int) -> None:
         """Build the engine and send the light of small emitters.
 
-        Raises :class:`RadiosityError` if nothing emits or absorbs light, and for an engine whose successive lines are
+        Raises :class:`RadiosityError` if nothing emits, and for an engine whose successive lines are
         parallel.
         """
-        check_absorption(problem.patches)
         self.patches, self._seed = problem.patches, seed
         self._engine = self._make_engine(problem.patches, seed)
         self._exchange = LineExchange(self._engine, self.samples_per_iteration, self._shoot(seed))
