@@ -99,6 +99,21 @@ def test_a_room_that_is_turned_outward_is_noticed(capsys):
     assert Path("factors.npz").is_file()
 
 
+def test_power_that_gets_lost_is_a_warning_and_an_exit_status(capsys, variant):
+    """Two walls of the room are turned: light of the others ends on their backs."""
+    vertices, faces = box((0, 0, 0), (1, 2, 3), 1, inward=True)
+    faces[:2] = faces[:2, ::-1]
+    meshio.write("turned.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
+    command = f"radiosity turned.ply --emission 1 --reflectance 0.5 --bundles 32 -o s.npz --variant {variant}"
+    assert run(command) == 8
+    out, err = capsys.readouterr()
+    assert out == "s.npz\n" and Path("s.npz").is_file()
+    assert "warning: the power that enters the scene" in err and "standard error of" in err
+    assert run(f"radiosity turned.ply --solution s.npz -o s.vtu --variant {variant}") == 8
+    for more in ("--solver multipath --points 4096", "--hierarchy --bundles 2"):
+        assert run(command.replace("--bundles 32", more)) == 8
+
+
 @pytest.mark.parametrize("solver", ["conjugate-gradient", "direct"])
 def test_radiosity_of_a_scene(solver, capsys, variant):
     Path("scene.xml").write_text(SCENE.format(light=LAMP, reflectance=0.5))
@@ -132,7 +147,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply -o f.csv", "take .npz, .vf"),
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
-        ("form-factors room.ply --reflectance 1.2", "must be in [0, 1)"),
+        ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
         ("form-factors room.ply --exact --bundles 8", "--exact casts no lines"),
         ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
         ("form-factors room.ply --max-area -1", "must be a positive number"),
@@ -149,7 +164,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity room.ply --emission 1 -o p.exr --lightmap 64 --uv scene", "--uv scene needs a scene"),
         ("radiosity nothing.obj", "there is no mesh file nothing.obj"),
         ("radiosity room.ply --emission glow", "no array 'glow' for its faces"),
-        ("radiosity room.ply --emission 1 --reflectance 1", "must be in [0, 1)"),
+        ("radiosity room.ply --emission 1 --reflectance 1", "it would never be absorbed"),
         ("radiosity room.ply --emission -1", "must not be negative, nor infinite"),
         ("radiosity room.ply --emission inf", "must not be negative, nor infinite"),
         ("radiosity room.ply --emission 1 --temperature 300", "give one of the two"),

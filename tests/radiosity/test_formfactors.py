@@ -19,6 +19,7 @@ from etendue.radiosity import (
     area_form_factors,
     box,
     form_factors,
+    joined,
     local_form_factors,
     pair_errors,
     read_form_factors,
@@ -127,6 +128,38 @@ def test_closure_and_reciprocity_each_exact_in_one_normalisation():
     assert repaired.reciprocity_error() < 1e-9
     exact = form_factors(ABuffer(room(3), OwenSobol(4, seed=5), 4096).cast(4096))
     assert pair_errors(repaired, exact) < pair_errors(reciprocal, exact)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_the_share_on_backs_of_faces_stays_apart(estimator, tmp_path):
+    """A plate whose back is seen from below: no other factor may grow by the light that ends on the back."""
+    walls, plate = box((-1, -1, -1), (1, 1, 1), 2, inward=True), square((-0.6, -0.6, 0.2), (1.2, 0, 0), (0, 1.2, 0))
+    patches = Patches(*joined(walls, plate))
+    segments = ABuffer(patches, OwenSobol(4, seed=6), 2000).cast(512)
+    factors = form_factors(segments, estimator)
+    assert factors.dark.max() > 0.14 and factors.dark[-1] == 0
+    floor = int(np.argmax(factors.dark))
+    whole, repaired = factors.normalised(), factors.repaired()
+    for made in (whole, repaired):
+        np.testing.assert_allclose(made.row_sums() + made.dark, 1, rtol=1e-9)
+        assert made.dark[floor] == pytest.approx(segments.dark[floor], rel=0.02)
+        assert made.matrix[[floor]].sum() == pytest.approx(factors.matrix[[floor]].sum(), rel=0.01)
+    assert repaired.reciprocity_error() < 1e-9
+    for name in ("f.npz", "f.nc"):
+        save_form_factors(tmp_path / name, factors)
+        np.testing.assert_array_equal(read_form_factors(tmp_path / name).dark, factors.dark)
+
+
+@pytest.mark.parametrize("estimator", ["reciprocal", "pooled"])
+def test_factors_of_open_scenes_are_repaired(estimator):
+    """Two cubes that see little but the sky, whose share then has a larger error than all others together."""
+    patches = Patches(*joined(box((0, 0, 0), (1, 1, 1)), box((9, 0, 0), (10, 1, 1))))
+    found = form_factors(ABuffer(patches, OwenSobol(4, seed=7), 20000).cast(64), estimator)
+    repaired = found.repaired()
+    np.testing.assert_allclose(repaired.row_sums(), 1, rtol=1e-9)
+    assert repaired.reciprocity_error() < 1e-9
+    np.testing.assert_allclose(repaired.matrix.todense(), found.matrix.todense(), rtol=0.03)
+    np.testing.assert_allclose(repaired.sky, found.sky, rtol=0.03)
 
 
 def test_a_matrix_and_its_segments_gather_the_same():

@@ -91,8 +91,8 @@ def test_a_warm_sky():
     [
         ({"temperatures": -3}, "at least 0 kelvin"),
         ({"temperatures": [300.0, 400.0]}, "one for each of 6 patches"),
-        ({"emissivity": 0.0}, "absorb"),
-        ({"emissivity": 1.2}, "absorb"),
+        ({"emissivity": -0.1}, "in [0, 1]"),
+        ({"emissivity": 1.2}, "in [0, 1]"),
         ({"emissivity": [0.5, 0.5]}, "2 rows for 6 patches"),
         ({"emissivity": [[0.5, 0.6]]}, "the edges of the bands"),
         ({"emissivity": [[0.5, 0.6]], "edges": [0, 1, 2, 3]}, "2 columns for 3 bands"),

@@ -102,7 +102,7 @@ def test_what_is_not_larger_is_not_cut():
         ({"faces": [[0, 1, 2], [0, 1]]}, "face 1 has 2 corners"),
         ({"faces": [[0.0, 1.0, 2.0]]}, "whole numbers"),
         ({"faces": [[0, 1, 2], [0, 1, 1]]}, "1 of 2 faces have no area, the first is face 1"),
-        ({"reflectance": 1.0}, "light would never be absorbed"),
+        ({"reflectance": 1.1}, "must be in [0, 1]"),
         ({"reflectance": np.nan}, "reflectance of 1 patches must be numbers"),
         ({"reflectance": [0.5, 0.5]}, "reflectance has 2 rows for 1 patches"),
         ({"emission": -1}, "emission of 1 patches must not be negative"),

@@ -18,6 +18,7 @@ from etendue.radiosity import (
     Part,
     PartProblem,
     Patches,
+    check_absorption,
     check_divisible,
     is_balanced,
     relative_error,
@@ -169,6 +170,8 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
         emits = any(p.patches is not None and (p.patches.emission.any() or p.patches.sky.any()) for p in root.distinct)
         if not emits:
             raise SceneError(request._without_light(self.problem))
+        if self.patches is not None:
+            check_absorption(self.patches)
         if request.divide:
             check_divisible(root)
         self._correspondence: Correspondence | None = None

@@ -26,6 +26,7 @@ from etendue.radiosity import (
     Part,
     Patches,
     SubScene,
+    check_absorption,
     check_direct,
     check_file,
     check_text_size,
@@ -305,9 +306,10 @@ class RadiosityRequest(LinesRequest):
         return sub_scenes(patches, objects_by(patches, self.sub_scenes).of_patch)
 
     def check_patches(self, patches: Patches, problem: Problem | None) -> None:
-        """See :class:`LinesRequest`; raises :class:`SceneError` if there is no light."""
+        """See :class:`LinesRequest`; raises an error if there is no light, and if nothing absorbs it."""
         if not (patches.emission.any() or patches.sky.any()):
             raise SceneError(self._without_light(problem))
+        check_absorption(patches)
         if self.solver == "direct":
             check_direct(len(patches))
         self.outputs.check_source(patches, problem, self.wording)

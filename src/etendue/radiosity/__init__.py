@@ -83,6 +83,7 @@ from .lines.mixing import MixedSegments, with_local_rays
 from .lines.segments import Segments
 from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
+from .solvers.absorption import check_absorption
 from .solvers.multipath import Multipath, multipath, multipath_bundles
 from .solvers.multipath_passes import MultipathPasses, MultipathSettings
 from .solvers.particles import Particles, breadth_first, depth_first
@@ -165,6 +166,7 @@ __all__ = [
     "band_shares",
     "box",
     "breadth_first",
+    "check_absorption",
     "check_balance",
     "check_colours",
     "check_coordinates",

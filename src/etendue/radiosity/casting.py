@@ -52,10 +52,8 @@ _LEAST_PASSES = 16
 _COUNTING, _RESIDUAL = 3, 1e-6
 #: Seconds per local ray, and seconds per segment to find the segments that need a weight because of local rays.
 _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
-#: Number of passes whose segments are summed to measure the time of a sum.
-_TIMED = 64
-#: Smallest number of local rays of a bundle.
-_FEWEST_RAYS = 8192
+#: Number of passes whose segments are summed to measure the time of a sum; smallest number of local rays of a bundle.
+_TIMED, _FEWEST_RAYS = 64, 8192
 #: Number of bundles of an unlimited stream, and the number for which the size of a pass is chosen.
 _ENDLESS, _USUAL = 1 << 31, 1024
 #: Size of a segment: two patch indices.
@@ -135,8 +133,7 @@ class LineCasting:
         return self._options.bundles_per_pass
 
     def prepare(self, problem: PatchProblem, seed: int) -> None:
-        """Build the engine and compile its loops. Raises :class:`RadiosityError` if not even one bundle fits into
-        memory."""
+        """Build the engine and compile its loops. Raises :class:`RadiosityError` if not one bundle fits into memory."""
         self.close()
         self._shot, self.owed = None, (0, 0)
         patches = self.patches = problem.patches
@@ -236,7 +233,7 @@ class LineCasting:
             mixing = _RAY_SECONDS * rays * len(few) + _LOOK_SECONDS * made
         # Convergence rate of conjugate gradients if all patches had the same reflectance.
         reflectance = np.average(self.patches.reflectance, axis=0, weights=self.patches.areas).max()
-        root = np.sqrt((1 + reflectance) / (1 - reflectance))
+        root = np.sqrt((1 + reflectance) / max(1 - reflectance, 1e-4))
         sums = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
         seconds, segments = self._timing
         return float(sums * seconds / max(segments, 1) * made + mixing)

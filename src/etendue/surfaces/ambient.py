@@ -30,6 +30,7 @@ from .errors import SurfaceError
 AmbientTerm = Literal["classic", "crisp", "fuzzy"]
 AMBIENT_TERMS: tuple[AmbientTerm, ...] = ("classic", "crisp", "fuzzy")
 
+_NO_END = "light that nothing absorbs has no end: an ambient term needs a reflectance below 1"
 #: Normals of the classes: +x, -x, +y, -y, +z, -z.
 CLASS_NORMALS: Array = np.stack([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
 
@@ -52,6 +53,8 @@ def class_light(
 
     Raises :class:`SurfaceError` if nothing absorbs light.
     """
+    if (lost is None or not lost.any()) and ((reflectance >= 1).all(axis=0) & power.any(axis=0)).any():
+        raise SurfaceError(_NO_END)
     by_class = weights.T @ areas
     inverse = np.divide(1.0, by_class, out=np.zeros_like(by_class), where=by_class > 0)[:, None]
     source, rho = ((weights.T @ values) * inverse for values in (power, areas[:, None] * reflectance))
@@ -68,9 +71,7 @@ def incoming(source: Array, reflectance: Array, factors: Array) -> Array:
     try:
         radiosity = np.linalg.solve(systems, source.T[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
-        raise SurfaceError(
-            "light that nothing absorbs has no end: an ambient term needs reflectances below 1"
-        ) from None
+        raise SurfaceError(_NO_END) from None
     light: Array = factors @ radiosity.T
     return light
 

@@ -49,10 +49,10 @@ class Coincident:
     @classmethod
     def of(cls, patches: Patches) -> Coincident:
         """The coincident faces of patches."""
-        centre, radius = patches.sphere
-        corners = (patches.vertices[patches.faces] - centre) / radius
         from . import boxtrees
 
+        centre, radius = patches.sphere
+        corners = (patches.vertices[patches.faces] - centre) / radius
         tree = box_tree(corners.min(axis=1), corners.max(axis=1))[:3]
         pairs = boxtrees.overlapping(corners, patches.face_normals, patches.face_areas, tree, _TOGETHER)
         pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

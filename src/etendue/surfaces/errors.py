@@ -6,7 +6,7 @@ from etendue.core import OptionError, SceneError
 
 
 class PatchError(SceneError):
-    """Invalid patches: a vertex that is not finite, a face without area, a reflectance outside [0, 1). The message is
+    """Invalid patches: a vertex that is not finite, a face without area, a reflectance outside [0, 1]. The message is
     one line with the element and a remedy."""
 
 

@@ -30,8 +30,8 @@ def thermal(
     reflectance one minus the emissivity.
 
     temperatures: in kelvin, a number or (n,).
-    emissivity: in (0, 1], in the forms of a reflectance of :class:`Patches`; or a function that gives it for the
-        temperatures (n,).
+    emissivity: in [0, 1], in the forms of a reflectance of :class:`Patches`; or a function that gives it for the
+        temperatures (n,). A surface of emissivity 0 is adiabatic: it reflects everything, whatever its temperature.
     edges: (b + 1,) ascending wavelengths in metres that bound b bands; the last may be infinite. Without them all
         wavelengths are one band.
     surroundings: temperature of a black sky, in kelvin.
@@ -47,8 +47,8 @@ def thermal(
         raise SurfaceError("temperatures are finite numbers of at least 0 kelvin")
     values = np.asarray(emissivity(t) if callable(emissivity) else emissivity, dtype=np.float64)
     epsilon = values.reshape(-1, 1) if values.ndim < 2 else values
-    if not ((epsilon > 0) & (epsilon <= 1)).all():
-        raise SurfaceError("emissivities are in (0, 1]: a surface without emission would absorb nothing")
+    if not ((epsilon >= 0) & (epsilon <= 1)).all():
+        raise SurfaceError("emissivities are in [0, 1]")
     if len(epsilon) not in (1, len(patches)):
         raise SurfaceError(f"emissivity has {len(epsilon)} rows for {len(patches)} patches")
     share, sky = np.ones((len(t), 1)), np.ones((1, 1))

@@ -41,7 +41,7 @@ class Patches(InNotebooks):
     vertices: (v, 3).
     faces: (m, 3), (m, 4), or m rows of three or four indices. A quadrilateral that is not flat and convex becomes two
         triangles of the same patch.
-    reflectance: diffuse, in [0, 1): a number, one for each patch (n,), or with channels (n, c); (1, c) is one
+    reflectance: diffuse, in [0, 1]: a number, one for each patch (n,), or with channels (n, c); (1, c) is one
         colour for all.
     emission: emitted power per area (for a Lambertian light of radiance L: pi L), in the same forms.
     ids: (m,) whole numbers, faces with equal numbers form a patch; by default each face is one. Patches are in
@@ -54,7 +54,7 @@ class Patches(InNotebooks):
     numbers: (m,) numbers of the faces, for ``face``; by default their indices.
 
     Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
-    out of range, a reflectance outside [0, 1), a negative emission.
+    out of range, a reflectance outside [0, 1], a negative emission.
 
     Attributes
     ----------
@@ -118,14 +118,14 @@ class Patches(InNotebooks):
         if light.ndim != 1 or not np.isfinite(light).all() or (light < 0).any():
             raise PatchError("the sky has one number for each channel, not negative and finite")
         for name, x, ok in (
-            ("reflectance", rho, (rho >= 0) & (rho < 1)),
+            ("reflectance", rho, (rho >= 0) & (rho <= 1)),
             ("emission", exitance, (exitance >= 0) & np.isfinite(exitance)),
         ):
             bad = np.flatnonzero(~ok.all(axis=1))
             if len(bad):
                 bounds = "must not be negative, nor infinite"
                 if x is rho:
-                    bounds = "must be in [0, 1): with 1 light would never be absorbed"
+                    bounds = "must be in [0, 1]"
                 if np.isnan(x[bad]).any():
                     bounds = "must be numbers"
                 raise PatchError(

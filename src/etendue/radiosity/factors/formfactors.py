@@ -107,7 +107,7 @@ class FormFactors(InNotebooks):
         exchange = ((exchange + exchange.T) / 2).tocsr()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
         ends = self.areas * (self.sky + self.dark)
-        # The smallest changes have the form S_ij (x_i + x_j) of pairs, and S_i x_i of the sky and of backs, which
+        # The smallest changes have the form S_ij (x_i + x_j) for pairs, and S_i x_i for the sky and for backs, which
         # belong to one row. Row sums then require (diag(all sums) + S) x = missing.
         missing, system = self.areas - sums - ends, _diagonal(sums + ends) + exchange
         x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]

@@ -274,24 +274,23 @@ def _settle(
     """Order the hits of faces that lie back to back and are set apart: outside of solids a line meets the front of one
     first, inside a solid that touches another one it leaves the solid first. The faces that are in no pair tell whether
     a line is inside."""
-    inside, is_known, pairs, kind = False, False, 0, 0
+    inside, is_known, pairs = False, False, 0
     k = 0
     while k < hits:  # the first face that is in no pair
         if what[k] < count:
             if not _is_pair(k, at, what, leaves, hits, count, normals, d, coincident, reach):
                 inside, is_known = leaves[k], True
                 break
-            kind = min(coincident[what[k]], coincident[what[k + 1]]) if pairs == 0 else kind
             pairs += 1
             k += 1
         k += 1
     if not is_known:
-        inside = is_interior and kind == 1 and pairs % 2 == 0
+        inside = is_interior and pairs % 2 == 0
     k = 0
     while k < hits:
         if what[k] < count:
             if _is_pair(k, at, what, leaves, hits, count, normals, d, coincident, reach):
-                if inside:
+                if inside and min(coincident[what[k]], coincident[what[k + 1]]) < 2:
                     at[k], at[k + 1] = at[k + 1], at[k]
                     what[k], what[k + 1] = what[k + 1], what[k]
                     leaves[k], leaves[k + 1] = True, False

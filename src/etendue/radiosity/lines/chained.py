@@ -136,10 +136,10 @@ class ChainedRays(LineEngine):
         inside = np.where(known, far[earlier] == dark, first[line[one]] == dark)
         unknown = ~known & (first[line[one]] == dark - 1)
         # A line of pairs only meets plates, or, if their number is even, the walls of a box in a corner of a room.
-        is_flat = self.patches.coincident.flat[face]
-        is_box = self._solid & ~(is_flat[one] & is_flat[one + 1]) & (np.bincount(line[one])[line[one]] % 2 == 0)
+        is_box = self._solid & (np.bincount(line[one])[line[one]] % 2 == 0)
         ahead = np.where(known_later, near[np.minimum(later, len(line) - 1)] == dark, is_box)
-        swapped = one[np.where(unknown, ahead, inside)]
+        is_flat = self.patches.coincident.flat[face]
+        swapped = one[np.where(unknown, ahead, inside) & ~(is_flat[one] & is_flat[one + 1])]
         near[swapped], near[swapped + 1] = near[swapped + 1], near[swapped]
         far[swapped], far[swapped + 1] = far[swapped + 1], far[swapped]
         return near, far

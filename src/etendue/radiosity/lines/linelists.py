@@ -249,4 +249,4 @@ class _Lines:
         of_pairs = self._solid & ((kind == 0) | is_box)
         corner = of_pairs | ((kind == 0) & (near == self._dark) & (following - at > 1))
         at_first = dr.select(alone < self._count, near_alone == self._dark, corner)
-        return dr.select(begins, at_first, before == self._dark)
+        return (kind < 2) & dr.select(begins, at_first, before == self._dark)

@@ -292,16 +292,17 @@ def _settle(
     """
     if not _touch(k, count, order, ends, coincident, dark):
         return k
-    leaves = ends[order[k] & _LOW, 0] == dark
-    if k == 0:
+    leaves, kind = ends[order[k] & _LOW, 0] == dark, _kind(k, order, coincident)
+    if kind == 2:  # a sheet, whatever is around it
+        inside = False
+    elif k == 0:
         # The outside may be solid or open: the first face that is not part of a pair decides.
         alone = 2
         while _touch(alone, count, order, ends, coincident, dark):
             alone += 2
-        kind = _kind(k, order, coincident)
         if alone < count:
             inside = ends[order[alone] & _LOW, 0] == dark
-        elif kind == 2 or (kind == 1 and alone % 4 != 0):  # sheets
+        elif kind == 1 and alone % 4 != 0:  # sheets
             inside = False
         elif solid:  # the line passes through the walls of a box in a corner of a room
             inside = True

@@ -140,8 +140,8 @@ def multipath_bundles(
         )
     # No line meets an empty patch, which has no power.
     expected, most = (np.where(patches.empty, 1, x)[:, None] for x in (engine.expected(1), bundles.most(patches)))
-    reflected = (patches.areas[:, None] * patches.reflectance).sum(axis=0).max() / patches.areas.sum()
-    for_line = np.minimum(_SHARES / (count * (1 - reflected) * expected), 1 / most)
+    absorbed = (patches.areas[:, None] * (1 - patches.reflectance)).sum(axis=0).min() / patches.areas.sum()
+    for_line = np.minimum(_SHARES / (count * max(absorbed, 1e-12) * expected), 1 / most)
     at_once = np.minimum(1 / (count * expected), 1 / most)
 
     sky = _sky_per_line(patches, engine.expected(count))

@@ -75,7 +75,8 @@ class MultipathPasses:
     def prepare(self, problem: PatchProblem, seed: int) -> None:
         """Build the engine and send the light of small emitters.
 
-        Raises :class:`RadiosityError` if nothing emits, and for an engine whose successive lines are parallel.
+        Raises :class:`RadiosityError` if nothing emits, and for an engine whose successive lines are
+        parallel.
         """
         self.patches, self._seed = problem.patches, seed
         self._engine = self._make_engine(problem.patches, seed)

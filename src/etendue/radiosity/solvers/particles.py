@@ -91,13 +91,17 @@ def breadth_first(
     [Castro 2002, sec. 2.3.3].
 
     The emission is sent by ``rays`` rays; the number for a bounce is proportional to its power. ``points`` as in
-    :func:`depth_first`; each bounce uses the next points. Raises :class:`RadiosityError` if no patch emits.
+    :func:`depth_first`; each bounce uses the next points. Raises :class:`RadiosityError` if no patch emits, and if
+    light is left after 10,000 bounces.
     """
     patches, unshot = scene.patches, _power(scene)
     sequence = OwenSobol(4, seed) if points is None else points
     whole, cast = unshot.sum(), 0
     received = np.zeros((len(patches) + 2, patches.channels))
+    bounces = 0
     while unshot.sum() > tolerance * whole:
+        if (bounces := bounces + 1) > _MOST_BOUNCES:
+            raise RadiosityError(f"light is left after {_MOST_BOUNCES} bounces: reflectance is too near to 1")
         count = max(int(np.ceil(rays * unshot.sum() / whole)), 1)
         new = Emission(scene, unshot).received(sequence.block(count, cast))
         cast += count

@@ -18,6 +18,7 @@ from ..errors import RadiosityError
 from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
 from ..parallel import compiled
+from .absorption import Ends, absorbed
 from .shot import FirstShot
 
 if TYPE_CHECKING:
@@ -27,21 +28,12 @@ Solver = Literal["jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "d
 SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct")
 
 
-class Transport(Protocol):
+class Transport(Ends, Protocol):
     """The transport operator: :class:`FormFactors` or :class:`Segments`."""
-
-    @property
-    def sky(self) -> Array:
-        """(n,) the share of the light of each patch that leaves the scene."""
-        ...
 
     @property
     def exchange_weights(self) -> Array | None:
         """(n,) ``w`` with w_i F_ij = w_j F_ji, or ``None`` if there are none."""
-        ...
-
-    def gather(self, values: Array, sky: Array) -> Array:
-        """F values plus the light of the sky; (n, c)."""
         ...
 
 
@@ -130,8 +122,12 @@ def solve(
     ambient: spread the light that is left after ``max_iterations`` by this ambient term, instead of raising an error.
         The solution then also depends on the term, and ``max_iterations`` of 2 or 3 may suffice.
 
-    Raises :class:`RadiosityError` if nothing emits, if a solver does not support the transport, if a shot belongs to
-    other patches, or if the solver has not converged after ``max_iterations`` and there is no ``ambient`` term.
+    Patches of reflectance 1 (adiabatic walls) absorb nothing; their light must be able to reach a patch that does, the
+    sky or the back of a face.
+
+    Raises :class:`RadiosityError` if nothing emits, if light can never be absorbed, if a solver does not support the
+    transport, if a shot belongs to other patches, or if the solver has not converged after ``max_iterations`` and there
+    is no ``ambient`` term.
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
@@ -143,7 +139,7 @@ def solve(
         raise RadiosityError(f"a solution needs at least one iteration, not {max_iterations}: set max_iterations")
     if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
-    rest = patches if shot is None else after_shot(shot, patches)
+    rest = absorbed(patches if shot is None else after_shot(shot, patches), transport)
     steps = _STEPS[solver](rest, transport)
     scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # a shot at black patches leaves nothing
     residuals = []
