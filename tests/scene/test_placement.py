@@ -67,7 +67,7 @@ def test_lamps_in_instances():
     place = mi.ScalarTransform4d().translate([5, 5, 5])
     scene["instance"] = {"type": "instance", "to_world": place, "group": {"type": "ref", "id": "group"}}
     ((_, shape),) = lamps_in_surfaces(load(scene).scene)
-    assert shape.id() == "part"
+    assert shape.id() == "instance"
 
 
 def test_a_check_names_the_lamp_and_the_surface():

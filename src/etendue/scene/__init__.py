@@ -9,12 +9,12 @@ from .changes.parameters import SceneEditor, SceneParameter
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
+from .lamps.placement import in_surface, lamps_in_surfaces, warn_of_lamps
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
-from .placement import in_surface, lamps_in_surfaces, warn_of_lamps
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem

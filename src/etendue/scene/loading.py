@@ -18,8 +18,10 @@ from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
+from .changes.transforms import settle_transforms
 from .editing import Change
-from .environments import instantiated
+from .lamps.environments import instantiated
+from .lamps.placement import warn_of_lamps
 from .moving import Described, moved
 from .parsing import (
     Size,
@@ -31,11 +33,9 @@ from .parsing import (
     take_integrator,
     texture_details,
 )
-from .placement import warn_of_lamps
 from .problem import Problem
 from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
-from .transforms import settle_transforms
 
 if TYPE_CHECKING:
     import mitsuba as mi

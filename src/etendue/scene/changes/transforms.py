@@ -14,8 +14,8 @@ import numpy as np
 
 from etendue.core import Array, SceneError
 
-from .parsing import read_properties
-from .space import warn_once
+from ..parsing import read_properties
+from ..space import warn_once
 
 if TYPE_CHECKING:
     import mitsuba as mi

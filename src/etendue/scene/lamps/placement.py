@@ -10,8 +10,8 @@ import numpy as np
 
 from etendue.core import Array
 
-from .graph import as_array, contents, describe, plugin_name, shapes
-from .space import half_diagonal, warn_once
+from ..graph import as_array, contents, describe, plugin_name, shapes
+from ..space import half_diagonal, warn_once
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -20,13 +20,11 @@ if TYPE_CHECKING:
 #: precision at its coordinates.
 _NEAR, _STEPS = 1e-5, 8.0 * 2.0**-24
 #: Three axes and four diagonals of a cube: no plane contains more than three of them.
-_DIRECTIONS = np.array(
-    [d for d in product((1, 0, -1), repeat=3) if sum(map(abs, d)) in (1, 3) and d > (0, 0, 0)], float
-)
+_DIRECTIONS = np.array([d for d in product((1.0, 0.0, -1.0), repeat=3) if d > (0, 0, 0) and d.count(0.0) != 1])
 
 
 def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
-    """Each point-like lamp of a loaded scene that lies in a surface which is not invisible, with the surface's shape."""
+    """Each point-like lamp of a loaded scene that lies in a surface which is not invisible, with its shape."""
     import mitsuba as mi
 
     lamps = [e for e in scene.emitters() if mi.has_flag(e.flags(), mi.EmitterFlags.DeltaPosition)]
@@ -39,7 +37,9 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(start, np.float32)), mi.Vector3f(0.0))
     ray.d = mi.Vector3f(np.ascontiguousarray(np.tile(along, (len(lamps), 1)).T, np.float32))
     ray.maxt = mi.Float(np.repeat(2.0 * reach.ravel(), len(along)).astype(np.float32))
-    met = dr.reinterpret_array(mi.UInt32, scene.ray_intersect_preliminary(ray).shape)
+    hit = scene.ray_intersect_preliminary(ray)
+    met, instance = (dr.reinterpret_array(mi.UInt32, s) for s in (hit.shape, hit.instance))
+    met = dr.select(met == 0, instance, met)  # the shape within an instance is not known
     numbers = np.asarray(met).reshape(len(lamps), -1)
     if not numbers.any():
         return []
