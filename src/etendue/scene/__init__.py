@@ -9,7 +9,7 @@ from .changes.parameters import SceneEditor, SceneParameter
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
-from .lamps.placement import in_surface, lamps_in_surfaces, warn_of_lamps
+from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, integrator_of, load, locate
@@ -48,7 +48,6 @@ __all__ = [
     "described_lights",
     "fingerprint",
     "graph",
-    "in_surface",
     "integrator_of",
     "is_described",
     "is_sensor",
@@ -63,6 +62,7 @@ __all__ = [
     "part_files",
     "portable",
     "register",
+    "remarks_on",
     "resized",
     "restored",
     "scene_xml",

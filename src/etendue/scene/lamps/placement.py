@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -52,18 +53,22 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     return found
 
 
-def in_surface(shape: mi.Shape) -> str:
-    """What is wrong with a lamp that lies in the surface of a shape, and a remedy."""
-    return (
-        f"lies in the surface of {describe(shape, 'shape')}, so it depends on the method and on rounding which side it "
-        "lights; move it off the surface, by a thousandth of the scene's size or more"
+def remarks_on(found: Sequence[tuple[mi.Emitter, mi.Shape]]) -> tuple[tuple[str, str], ...]:
+    """(lamp, what is wrong with it, and a remedy) for each result of :func:`lamps_in_surfaces`."""
+    return tuple(
+        (
+            describe(lamp, "emitter"),
+            f"lies in the surface of {describe(shape, 'shape')}, so it depends on method and rounding which side it "
+            "lights; move it off the surface, by a thousandth of the scene's size or more",
+        )
+        for lamp, shape in found
     )
 
 
-def warn_of_lamps(scene: mi.Scene, name: str) -> None:
-    """Warn, once for each text, of point-like lamps that lie in surfaces."""
-    for lamp, shape in lamps_in_surfaces(scene):
-        warn_once(f"{name}: {describe(lamp, 'emitter')} {in_surface(shape)}")
+def warn_of_lamps(remarks: Sequence[tuple[str, str]], name: str) -> None:
+    """Warn, once for each text, of the lamps of a scene ``name`` that lie in surfaces."""
+    for lamp, remark in remarks:
+        warn_once(f"{name}: {lamp} {remark}")
 
 
 def _position(lamp: mi.Emitter) -> Array:
