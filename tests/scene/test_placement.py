@@ -67,7 +67,20 @@ def test_lamps_in_instances():
     place = mi.ScalarTransform4d().translate([5, 5, 5])
     scene["instance"] = {"type": "instance", "to_world": place, "group": {"type": "ref", "id": "group"}}
     ((_, shape),) = lamps_in_surfaces(load(scene).scene)
-    assert shape.id() == "part"
+    assert shape.id() == "instance"
+
+
+def test_merged_meshes_are_named(tmp_path, caplog):
+    scene = room("point", INSIDE["floor"])
+    for name in ("floor", "wall"):
+        mi.load_dict({"type": "rectangle"}).write_ply(str(tmp_path / f"{name}.ply"))
+        scene[name] = {"type": "ply", "filename": str(tmp_path / f"{name}.ply"), "bsdf": {"type": "diffuse"}}
+    scene["wall"]["to_world"] = mi.ScalarTransform4d().translate([0, 0, 8])
+    with caplog.at_level(logging.WARNING, "etendue"):
+        ((lamp, remark),) = load(scene).remarks
+    assert lamp == "emitter 'lamp' of type 'point'"
+    assert "shape 'floor' of type 'ply'" in remark
+    assert any(remark in r.message for r in caplog.records)
 
 
 def test_a_check_names_the_lamp_and_the_surface():

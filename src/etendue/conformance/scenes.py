@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError, UnsupportedError, use_variant
-from etendue.scene import Problem, Source, graph, in_surface, lamps_in_surfaces, load
+from etendue.scene import Problem, Source, graph, load
 
 from .bsdfs import check_bsdf
 from .emitters import check_emitter, is_surface
@@ -62,9 +62,7 @@ def check(
             if is_surface(emitter):
                 name += f" on {_short(emitter.get_shape())}"
             rows += check_emitter(emitter, loaded, name, quick=quick, seed=seed, level=level)
-        for emitter, shape in lamps_in_surfaces(loaded):
-            component = graph.describe(emitter, "emitter")
-            rows.append(Finding(component, "placement", "warn", 0.0, 0.0, f"it {in_surface(shape)}"))
+        rows += [Finding(name, "placement", "warn", 0.0, 0.0, f"it {remark}") for name, remark in problem.remarks]
         for item in sensors:
             rows += check_sensor(item, loaded, seed=seed)
         rows += check_ray_casting(loaded, variants=variants, quick=quick, seed=seed)

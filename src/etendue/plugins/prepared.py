@@ -12,7 +12,18 @@ import mitsuba as mi
 from etendue.core import Method, prepared
 from etendue.engine import fit_samples, settle_samples
 from etendue.methods import ImageMethod, ImageSettings
-from etendue.scene import Parameters, Problem, check, is_dark, parameters, view, warn_of_lamps, warn_of_offsets
+from etendue.scene import (
+    Parameters,
+    Problem,
+    check,
+    is_dark,
+    lamps_in_surfaces,
+    parameters,
+    remarks_on,
+    view,
+    warn_of_lamps,
+    warn_of_offsets,
+)
 
 #: Largest number of cached methods, one for each pair of sensor and sample count.
 _MOST = 16
@@ -52,7 +63,7 @@ class Prepared:
         if kept is None or kept.seen != seen:
             check(problem.scene, problem.sensor)
             warn_of_offsets(problem.scene, problem.sensor, "the scene")
-            warn_of_lamps(problem.scene, "the scene")
+            warn_of_lamps(remarks_on(lamps_in_surfaces(problem.scene)), "the scene")
             kept = self._prepare(problem, seed, seen)
             self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
         elif kept.carries_on:

@@ -10,6 +10,7 @@ from .changes.watching import Parameters, parameters, view
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
+from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
 from .lamps.places import LightsAt
 from .lamps.radiance import (
     front,
@@ -26,7 +27,6 @@ from .loading import Source, checked_size, integrator_of, load, locate
 from .members import Material, Members, bsdfs, emitters
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
-from .placement import in_surface, lamps_in_surfaces, warn_of_lamps
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -66,7 +66,6 @@ __all__ = [
     "front",
     "graph",
     "has_cells",
-    "in_surface",
     "integrator_of",
     "is_dark",
     "is_described",
@@ -84,6 +83,7 @@ __all__ = [
     "part_files",
     "portable",
     "register",
+    "remarks_on",
     "resized",
     "restored",
     "scene_xml",

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from etendue.core import SceneError, UnsupportedError, check_variant
 
-from .environments import is_unsampled
+from .changes.transforms import fault, mirrors, misshapen
 from .graph import as_array, below, contents, describe, plugin_name, shapes
+from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
 from .space import SENSORS
-from .transforms import fault, mirrors, misshapen
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -19,8 +19,11 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .capability import check_light
+from .changes.transforms import settle_transforms
 from .editing import Change
-from .environments import instantiated
+from .graph import name as element_name
+from .lamps.environments import instantiated
+from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
 from .models.reading import SUFFIXES, is_model, model
 from .moving import Described, moved
 from .parsing import (
@@ -33,11 +36,9 @@ from .parsing import (
     take_integrator,
     texture_details,
 )
-from .placement import warn_of_lamps
 from .problem import Problem
 from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
-from .transforms import settle_transforms
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -240,7 +241,13 @@ def _from_parser(
     if not integrator and scene.integrator() is not None:
         # The type of a Python plugin is not known before it is built.
         integrator, depth, options = built_integrator(scene.integrator())
-    return _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space)
+    found = lamps_in_surfaces(scene) if check else []
+    if change is None and space.is_own and not all(element_name(shape) for _, shape in found):
+        with _resolving(folders), _mitsuba_errors(name):
+            named = instantiated(config, unmerged)  # for the names of merged meshes
+        found = lamps_in_surfaces(named)
+    remarks = remarks_on(found)
+    return _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space, remarks)
 
 
 @contextmanager
@@ -302,7 +309,8 @@ def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | N
         check_scene(scene, chosen)
     integrator = scene.integrator()
     name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)
-    return _problem(scene, chosen, name, depth, options, "<scene>", memory, "", check)
+    remarks = remarks_on(lamps_in_surfaces(scene)) if check else ()
+    return _problem(scene, chosen, name, depth, options, "<scene>", memory, "", check, remarks=remarks)
 
 
 def _sensor(scene: mi.Scene, index: int, name: str) -> mi.Sensor:
@@ -325,6 +333,7 @@ def _problem(
     details: str,
     check: bool,
     space: RenderSpace | None = None,
+    remarks: tuple[tuple[str, str], ...] = (),
 ) -> Problem:
     width, height = (int(v) for v in sensor.film().crop_size())
     if not 1 <= width * height <= MOST_PIXELS:
@@ -334,8 +343,7 @@ def _problem(
             f"integrator '{integrator}' of {name} has 'hide_emitters', which is not supported; remove it, or hide the "
             "emitter's shape"
         )
-    if check:
-        warn_of_lamps(scene, name)
+    warn_of_lamps(remarks, name)
     return Problem(
         scene=scene,
         sensor=sensor,
@@ -348,4 +356,5 @@ def _problem(
         memory=memory,
         details=details,
         space=space or RenderSpace(),
+        remarks=remarks,
     )

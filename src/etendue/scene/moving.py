@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from etendue.core import Array, logger
 
 from .builtin.table import BundledScene
-from .environments import instantiated
 from .graph import below, contents, describe, plugin_name
+from .lamps.environments import instantiated
 from .parsing import MESH_PLUGINS, merge_meshes, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
 

@@ -188,12 +188,15 @@ def _has_endpoint(shape: mi.parser.SceneNode, state: mi.parser.ParserState) -> b
 
 def read_properties(props: mi.Properties) -> dict[str, Any]:
     """The properties of a node, read without marking them as used, because Mitsuba reports unused ones as misspelt."""
-    values = {}
-    for key in props.keys():  # noqa: SIM118
-        used = props.was_queried(key)
-        values[key] = props[key]
-        props.mark_queried(key, used)
-    return values
+    return {key: read_property(props, key) for key in props.keys()}  # noqa: SIM118
+
+
+def read_property(props: mi.Properties, key: str) -> Any:
+    """One property, read in the same way."""
+    used = props.was_queried(key)
+    value = props[key]
+    props.mark_queried(key, used)
+    return value
 
 
 def _children(

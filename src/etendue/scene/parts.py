@@ -11,12 +11,12 @@ import numpy as np
 
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
-from .environments import instantiated
+from .changes.transforms import settle_transforms
+from .lamps.environments import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
 from .parsing import keep_shapes, name_shapes, read_properties, take_integrator
 from .portable import PortableScene
 from .problem import Problem
-from .transforms import settle_transforms
 
 
 def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, Any] | None = None) -> Problem:

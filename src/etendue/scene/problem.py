@@ -27,6 +27,7 @@ class Problem:
     memory: int | None = None  #: memory limit for what a method stores, in bytes; None: no limit
     details: str = ""  #: parameters that only the loader can read; part of the fingerprint
     space: RenderSpace = field(default_factory=RenderSpace)  #: coordinates of ``scene`` and ``sensor``
+    remarks: tuple[tuple[str, str], ...] = ()  #: ambiguous elements: (name, what is ambiguous and a remedy)
 
     @cached_property
     def fingerprint(self) -> str:

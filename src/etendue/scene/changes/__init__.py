@@ -1,1 +1,1 @@
-"""Changes of scenes: values of their parameters."""
+"""Changes of scenes: values of their parameters, and corrections of their transforms."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import OptionError, suggest
 
 from ..graph import contents, plugin_name
-from ..transforms import fault, misshapen
+from .transforms import fault, misshapen
 from .values import TEXTURE, TRANSFORM, Range, Value, checked, for_scene, kind_of, plain, range_of
 
 if TYPE_CHECKING:

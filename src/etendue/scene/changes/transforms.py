@@ -14,8 +14,8 @@ import numpy as np
 
 from etendue.core import Array, SceneError
 
-from .parsing import read_properties
-from .space import warn_once
+from ..parsing import read_property
+from ..space import warn_once
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -24,20 +24,24 @@ if TYPE_CHECKING:
 _TURNED = ("envmap", "sunsky", "directional", "spot", "projector")
 #: Largest relative difference of lengths, and deviation from right angles, that counts as rounding.
 _TOLERANCE = 5e-3
-#: Relative difference from which on a matrix is replaced; and the unit of rounding of single precision.
-_EXACT, _STEP = 1e-5, 2.0**-23
+#: Relative difference from which on a matrix is replaced; the unit of rounding of single precision; and the product of
+#: the norms of matrix and inverse from which on a matrix is singular.
+_EXACT, _STEP, _FLAT = 1e-5, 2.0**-23, 1e12
 
 
 def fault(kind: str, key: str, transform: Any) -> str | None:
     """Why the transform ``key`` of an element of the plugin ``kind`` cannot be used, with a remedy; None if it can."""
-    part, inverse = _linear(transform.matrix), _linear(transform.inverse().matrix)
+    part, inverse = _parts(transform)
+    difference = _difference(part, inverse)
     # Of a point light only the position is used, of built textures' transforms, (2, 2), only the matrix.
-    if kind == "point" or len(part) < 3 or not np.isfinite(part).all():  # what is not finite is reported elsewhere
+    if kind == "point" or len(part) < 3 or (difference < _EXACT and kind not in _TURNED):
         return None
-    if _is_flat(part) or not np.isfinite(inverse).all():
+    if not np.isfinite(part).all():  # reported elsewhere
+        return None
+    size = np.linalg.norm(part) * np.linalg.norm(inverse)
+    if not size < _FLAT:
         return None if key == "to_uv" else f"has a '{key}' that flattens it; give it a scale other than 0"
-    rounding = 4.0 * _STEP * np.linalg.norm(part) * np.linalg.norm(inverse)
-    if np.abs(part @ inverse - np.eye(len(part))).max() > _TOLERANCE + rounding:
+    if difference > _TOLERANCE + 4.0 * _STEP * size:
         return (
             f"has a '{key}' whose inverse is another transform: a rotation about an axis that is not of unit length, "
             "which Mitsuba does not normalise; divide the axis by its length"
@@ -49,20 +53,21 @@ def fault(kind: str, key: str, transform: Any) -> str | None:
 
 def misshapen(kind: str, transform: Any) -> str | None:
     """Why a built shape is not the sphere or circular cylinder that Mitsuba intersects; None if it is."""
-    part = _linear(transform.matrix)
-    if kind == "sphere" and _stretch(part) > _TOLERANCE:
-        return "has a 'to_world' that makes it an ellipsoid, which Mitsuba draws as a sphere; use a mesh"
-    if kind == "cylinder":
-        # The length may have another scale than the radius.
+    if kind not in ("sphere", "cylinder"):
+        return None
+    part, _ = _parts(transform)
+    if kind == "cylinder":  # its length may have another scale than its radius
         part[:, 2] *= np.linalg.norm(part[:, :2]) / max(np.sqrt(2.0) * np.linalg.norm(part[:, 2]), 1e-300)
-        if _stretch(part) > _TOLERANCE:
-            return "has a 'to_world' that makes it oblique or elliptic, which Mitsuba does not draw; use a mesh"
-    return None
+    if _stretch(part) <= _TOLERANCE:
+        return None
+    if kind == "sphere":
+        return "has a 'to_world' that makes it an ellipsoid, which Mitsuba draws as a sphere; use a mesh"
+    return "has a 'to_world' that makes it oblique or elliptic, which Mitsuba does not draw; use a mesh"
 
 
 def mirrors(transform: Any) -> bool:
     """Whether a transform is a reflection."""
-    return bool(np.linalg.det(_linear(transform.matrix)) < 0.0)
+    return bool(np.linalg.det(_parts(transform)[0]) < 0.0)
 
 
 def settle_transforms(state: mi.parser.ParserState, name: str, check: bool = True) -> None:
@@ -74,11 +79,10 @@ def settle_transforms(state: mi.parser.ParserState, name: str, check: bool = Tru
     import mitsuba as mi
 
     for node in state.nodes:
-        values = read_properties(node.props)
         for key in ("to_world", "to_uv"):
-            if "Transform" not in type(values.get(key)).__name__:
+            if key not in node.props or "Transform" not in type(transform := read_property(node.props, key)).__name__:
                 continue
-            kind, transform = node.props.plugin_name(), values[key]
+            kind = node.props.plugin_name()
             if key == "to_world" and (matrix := _settled(kind, transform, f"{name}: {_called(node)}")) is not None:
                 node.props[key] = transform = mi.ScalarTransform4d(matrix)
             if check and (why := fault(kind, key, transform)) is not None:
@@ -87,38 +91,40 @@ def settle_transforms(state: mi.parser.ParserState, name: str, check: bool = Tru
 
 def _settled(kind: str, transform: Any, called: str) -> Array | None:
     """The matrix (4, 4) that replaces a ``to_world``; None if it stays as it is."""
-    matrix = np.array(transform.matrix, np.float64).reshape(4, 4)
-    part = matrix[:3, :3]
-    if fault("", "to_world", transform) is not None:
+    part, inverse = _parts(transform)
+    difference, rounded = _difference(part, inverse), kind in (*_TURNED, "sphere")
+    if difference < _EXACT and not rounded:
         return None
-    if kind in (*_TURNED, "sphere"):
-        if _stretch(part) > _TOLERANCE:
-            return None
+    if fault("", "to_world", transform) is not None or (rounded and _stretch(part) > _TOLERANCE):
+        return None
+    exact = part
+    if rounded:
         left, sizes, right = np.linalg.svd(part)
         scale = float(sizes.mean())
-        part = left @ right
-        if kind == "sphere":
-            part *= scale
-        elif abs(scale - 1.0) > _TOLERANCE:
+        exact = left @ right * (scale if kind == "sphere" else 1.0)
+        if kind != "sphere" and abs(scale - 1.0) > _TOLERANCE:
             warn_once(f"{called} has a scale of {scale:.4g}, which is left out: only its rotation has a meaning")
-    exact = np.abs(part @ _linear(transform.inverse().matrix) - np.eye(3)).max() < _EXACT
-    if exact and np.abs(part - matrix[:3, :3]).max() < _EXACT * np.abs(part).max():
+    if difference < _EXACT and np.abs(exact - part).max() < _EXACT * np.abs(part).max():
         return None
-    matrix[:3, :3] = part
+    matrix = np.array(transform.matrix, np.float64).reshape(4, 4)
+    matrix[:3, :3] = exact
     return matrix
 
 
-def _linear(matrix: Any) -> Array:
-    """The linear part of a transform, (3, 3), or (2, 2) of a built texture."""
-    values = np.asarray(matrix, np.float64).ravel()
-    side = round(values.size**0.5)
-    part: Array = values.reshape(side, side)[: side - 1, : side - 1].copy()
-    return part
+def _parts(transform: Any) -> tuple[Array, Array]:
+    """The linear parts of a transform and of its inverse, (3, 3), or (2, 2) of a built texture."""
+    side = 3 if "3" in type(transform).__name__ else 4
+    part, transposed = (
+        np.array(matrix, np.float64).reshape(side, side)[:-1, :-1]
+        for matrix in (transform.matrix, transform.inverse_transpose)
+    )
+    return part, transposed.T
 
 
-def _is_flat(part: Array) -> bool:
-    sizes = np.linalg.svd(part, compute_uv=False)
-    return bool(sizes[-1] <= 1e-12 * sizes[0])
+def _difference(part: Array, inverse: Array) -> float:
+    """The largest entry by which the product of a matrix and its inverse differs from the identity."""
+    with np.errstate(invalid="ignore"):  # a flat transform
+        return float(np.abs(part @ inverse - np.eye(len(part))).max())
 
 
 def _stretch(part: Array) -> float:

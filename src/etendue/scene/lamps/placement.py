@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,8 @@ import numpy as np
 
 from etendue.core import Array
 
-from .graph import as_array, contents, describe, plugin_name, shapes
-from .space import half_diagonal, warn_once
+from ..graph import as_array, contents, describe, plugin_name, shapes
+from ..space import half_diagonal, warn_once
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -20,9 +21,7 @@ if TYPE_CHECKING:
 #: precision at its coordinates.
 _NEAR, _STEPS = 1e-5, 8.0 * 2.0**-24
 #: Three axes and four diagonals of a cube: no plane contains more than three of them.
-_DIRECTIONS = np.array(
-    [d for d in product((1, 0, -1), repeat=3) if sum(map(abs, d)) in (1, 3) and d > (0, 0, 0)], float
-)
+_DIRECTIONS = np.array([d for d in product((1.0, 0.0, -1.0), repeat=3) if d > (0, 0, 0) and d.count(0.0) != 1])
 
 
 def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
@@ -39,7 +38,9 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(start, np.float32)), mi.Vector3f(0.0))
     ray.d = mi.Vector3f(np.ascontiguousarray(np.tile(along, (len(lamps), 1)).T, np.float32))
     ray.maxt = mi.Float(np.repeat(2.0 * reach.ravel(), len(along)).astype(np.float32))
-    met = dr.reinterpret_array(mi.UInt32, scene.ray_intersect_preliminary(ray).shape)
+    hit = scene.ray_intersect_preliminary(ray)
+    met, instance = (dr.reinterpret_array(mi.UInt32, s) for s in (hit.shape, hit.instance))
+    met = dr.select(met == 0, instance, met)  # the shape within an instance is not known
     numbers = np.asarray(met).reshape(len(lamps), -1)
     if not numbers.any():
         return []
@@ -52,18 +53,22 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     return found
 
 
-def in_surface(shape: mi.Shape) -> str:
-    """What is wrong with a lamp that lies in the surface of a shape, and a remedy."""
-    return (
-        f"lies in the surface of {describe(shape, 'shape')}, so it depends on the method and on rounding which side it "
-        "lights; move it off the surface, by a thousandth of the scene's size or more"
+def remarks_on(found: Sequence[tuple[mi.Emitter, mi.Shape]]) -> tuple[tuple[str, str], ...]:
+    """(lamp, what is wrong with it, and a remedy) for each result of :func:`lamps_in_surfaces`."""
+    return tuple(
+        (
+            describe(lamp, "emitter"),
+            f"lies in the surface of {describe(shape, 'shape')}, so it depends on method and rounding which side it "
+            "lights; move it off the surface, by a thousandth of the scene's size or more",
+        )
+        for lamp, shape in found
     )
 
 
-def warn_of_lamps(scene: mi.Scene, name: str) -> None:
-    """Warn, once for each text, of point-like lamps that lie in surfaces."""
-    for lamp, shape in lamps_in_surfaces(scene):
-        warn_once(f"{name}: {describe(lamp, 'emitter')} {in_surface(shape)}")
+def warn_of_lamps(remarks: Sequence[tuple[str, str]], name: str) -> None:
+    """Warn, once for each text, of the lamps of a scene ``name`` that lie in surfaces."""
+    for lamp, remark in remarks:
+        warn_once(f"{name}: {lamp} {remark}")
 
 
 def _position(lamp: mi.Emitter) -> Array:

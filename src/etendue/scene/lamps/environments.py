@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .graph import plugin_name
-from .parsing import read_properties
+from ..graph import plugin_name
+from ..parsing import read_properties
 
 if TYPE_CHECKING:
     import mitsuba as mi
