@@ -65,8 +65,8 @@ class LinesTask:
     to_error: bool = False
     #: Whether errors are estimated during the run even if the budget has none.
     is_watched: bool = False
-    #: Whether form factors will be computed from the segments, which takes memory.
-    needs_matrix: bool = False
+    #: Bytes of each form factor that will be computed from the segments; 0 if none are.
+    entry_bytes: float = 0.0
     #: The checkpoint in whose records the segments are stored; without it they stay in memory.
     checkpoint: Path | None = None
     #: Plain values for the checkpoint.
@@ -170,7 +170,9 @@ class LinesJob:
         before, passes = (
             (0, 0) if saved is None else (casting.bundles(saved.measurement), len(saved.measurement.iterations))
         )
-        room, place = casting.memory(self.task.needs_matrix, in_files=checkpoint is not None), "into memory"
+        wanted = {} if budget.samples is None else {"wanted": budget.samples - before}
+        room = casting.memory(self.task.entry_bytes, in_files=checkpoint is not None, **wanted)
+        place = "into memory"
         if checkpoint is not None:
             on_disk = int(shutil.disk_usage(checkpoint.parent).free / (_COPIES * casting.bytes_per_bundle))
             if on_disk < room:

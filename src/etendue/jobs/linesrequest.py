@@ -81,8 +81,8 @@ class LinesRequest(ABC):
 
     @property
     @abstractmethod
-    def needs_matrix(self) -> bool:
-        """Whether form factors are computed from the lines, which takes memory."""
+    def entry_bytes(self) -> float:
+        """Bytes of each form factor while it is computed from the lines; 0 if none are."""
 
     @property
     def keeps_groups(self) -> bool:

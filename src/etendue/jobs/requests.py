@@ -30,6 +30,7 @@ from etendue.radiosity import (
     check_direct,
     check_file,
     check_text_size,
+    entry_bytes,
     grouped,
     sub_scenes,
     sub_scenes_of,
@@ -87,9 +88,9 @@ class FormFactorRequest(HierarchyOptions, LinesRequest):
         return self.outputs
 
     @property
-    def needs_matrix(self) -> bool:
+    def entry_bytes(self) -> float:
         """See :class:`LinesRequest`."""
-        return True
+        return entry_bytes(self.chosen_estimator)
 
     def _check_outputs(self) -> None:
         _check_name("estimator", self.chosen_estimator, ESTIMATORS)
@@ -174,8 +175,13 @@ class RadiosityRequest(LinesRequest):
 
     @property
     def needs_matrix(self) -> bool:
-        """See :class:`LinesRequest`."""
+        """Whether form factors are computed for the solver."""
         return self.chosen_solver not in (*ON_SEGMENTS, MULTIPATH)
+
+    @property
+    def entry_bytes(self) -> float:
+        """See :class:`LinesRequest`."""
+        return entry_bytes("F1") if self.needs_matrix else 0.0
 
     @property
     def stores_lines(self) -> bool:

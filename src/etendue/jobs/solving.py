@@ -226,7 +226,7 @@ class LinesWork(PatchWork[Q, R]):
                 hierarchy=self._hierarchy,
                 to_error=to_error,
                 is_watched=is_watched or request.is_watched,
-                needs_matrix=request.needs_matrix,
+                entry_bytes=request.entry_bytes,
                 checkpoint=request.checkpoint,
                 notes=self.notes,
                 bundles_option=request.wording.option("bundles"),

@@ -43,10 +43,11 @@ from .ambient.solutions import ambient_solution, finished
 from .ambient.spreading import spread
 from .ambient.subscenes import HierarchicalAmbient, SubScene, hierarchical_ambient, sub_scenes, sub_scenes_of
 from .balance import check_balance, is_balanced
-from .casting import REPLICATES, CastingSettings, CastLines, LineCasting
+from .casting import REPLICATES, CastingSettings, LineCasting
+from .castlines import CastLines
 from .errors import RadiosityError
 from .factors.exact import exact_form_factors
-from .factors.formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
+from .factors.formfactors import ESTIMATORS, Estimator, FormFactors, entry_bytes, estimate, form_factors, pair_errors
 from .factors.gebhart import gebhart_factors
 from .factors.localfactors import area_form_factors, local_form_factors
 from .files.colours import coloured_mesh
@@ -177,6 +178,7 @@ __all__ = [
     "coloured_mesh",
     "depth_first",
     "diagnose",
+    "entry_bytes",
     "estimate",
     "exact_form_factors",
     "find_objects",

@@ -30,6 +30,7 @@ from etendue.surfaces import Patches, RayScene
 
 from .error_estimate import IrradianceError
 from .errors import RadiosityError
+from .factors.counting import MatrixRoom
 from .lines.abuffer import LINES_PER_PATCH, ABuffer
 from .lines.engine import LineEngine, warn_of_faults
 from .lines.local import LocalRays
@@ -267,10 +268,12 @@ class LineCasting:
         missing = self._shot.blocks(self._shot_rays(self.bundles(measurement))) - int(known.blocks.sum())
         return self._shot.result(known + self._shot.light(first, max(missing, 0)))
 
-    def memory(self, matrix: bool = False, in_files: bool = False) -> int:
+    def memory(self, matrix: float = 0.0, in_files: bool = False, wanted: int = _ENDLESS) -> int:
         """Number of bundles whose segments fit into the free memory.
 
-        matrix: form factors must fit as well. in_files: segments are in the files of a record and take no memory.
+        matrix: form factors of so many bytes each must fit as well; if it is uncertain whether those of ``wanted``
+        bundles do, some bundles are cast to see how the number of form factors grows. in_files: segments are in the
+        files of a record and take no memory.
         """
         free, each = free_memory(), float(self.engine.expected(1).sum()) / 2
         stored = 0 if in_files else _SEGMENT_BYTES
@@ -278,9 +281,9 @@ class LineCasting:
             return _ENDLESS
         if not matrix:
             return int(free / (stored * each))
-        # The estimates of form_factors: a matrix with an entry for each pair, or a full one.
-        full = 64 * len(self.patches) ** 2
-        return int(max(free / ((stored + 4 + 128) * each), (free - full) / ((stored + 4) * each)))
+        room = MatrixRoom(free, len(self.patches), each, stored, matrix)
+        most = room.most(_ENDLESS)
+        return most if most >= wanted else room.with_pilot(self._pilot).most(_ENDLESS)
 
     @property
     def bytes_per_bundle(self) -> float:
@@ -298,6 +301,10 @@ class LineCasting:
     @cached_property
     def _scene(self) -> RayScene:
         return RayScene(self.patches)
+
+    def _pilot(self, first: int, count: int) -> Iterator[Pairs]:
+        """Segments between patches, the sky and dark."""
+        return self.engine.stream(count, first)
 
     def _cast(self, iteration: int) -> Pairs:
         """The segments of a pass. Consecutive passes share a stream, in which engines cast ahead."""
@@ -370,29 +377,3 @@ class _Stream:
     def close(self) -> None:
         """End the casting."""
         self._chunks.close()  # type: ignore[attr-defined]
-
-
-@dataclass(frozen=True)
-class CastLines:
-    """Lines that were cast: a line casting with a measurement, and their results."""
-
-    casting: LineCasting
-    measurement: Measurement
-
-    @property
-    def patches(self) -> Patches:
-        """The patches that the lines went through."""
-        return self.casting.patches
-
-    @property
-    def count(self) -> int:
-        """Number of bundles."""
-        return self.casting.bundles(self.measurement)
-
-    def segments(self) -> Segments:
-        """See :meth:`LineCasting.segments`."""
-        return self.casting.segments(self.measurement)
-
-    def shot(self) -> FirstShot | None:
-        """See :meth:`LineCasting.shot`."""
-        return self.casting.shot(self.measurement)

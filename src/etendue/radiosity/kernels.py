@@ -74,24 +74,33 @@ def fill_rows(pairs: Pairs, patches: int, ends: Index, columns: Index) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def merge_rows(starts: Index, columns: Index, patches: int) -> tuple[NDArray[np.int64], Index, Array]:
-    """Row starts, unique columns of each row, and their multiplicities. Overwrites ``columns``."""
-    begin = np.zeros(patches + 1, np.int64)
-    counts = np.empty(len(columns), np.float64)
+def merge_rows(
+    begin: Index, columns: Pairs, counts: Array, starts: Index, more: Pairs
+) -> tuple[NDArray[np.int64], Pairs, Array]:
+    """Rows of unique ``columns`` with their ``counts``, from ``begin`` (n + 1,), and with ``more`` columns, from
+    ``starts`` (n + 1,), each of which counts one: the new row starts, columns and counts."""
+    patches = len(begin) - 1
+    made_begin = np.zeros(patches + 1, np.int64)
+    made_columns = np.empty(len(columns) + len(more), np.uint32)
+    made_counts = np.empty(len(columns) + len(more), np.float64)
     where = np.full(patches, -1, np.int64)
     made = 0
     for row in range(patches):
         first = made
+        for k in range(begin[row], begin[row + 1]):
+            where[columns[k]] = made
+            made_columns[made], made_counts[made] = columns[k], counts[k]
+            made += 1
         for k in range(starts[row], starts[row + 1]):
-            column = columns[k]
+            column = more[k]
             if where[column] >= first:
-                counts[where[column]] += 1
+                made_counts[where[column]] += 1
             else:
                 where[column] = made
-                columns[made], counts[made] = column, 1
+                made_columns[made], made_counts[made] = column, 1
                 made += 1
-        begin[row + 1] = made
-    return begin, columns[:made].copy(), counts[:made].copy()
+        made_begin[row + 1] = made
+    return made_begin, made_columns[:made].copy(), made_counts[:made].copy()
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, cast
 
@@ -23,7 +23,7 @@ from ..lines.spiral import SpiralPoints
 from ..problem import PatchProblem
 from .allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
 from .lines import TreeBundles, TreeRays
-from .segments import PartialSegments
+from .segments import OUTSIDE, PartialSegments
 from .tree import sphere_tree
 
 #: Smallest number of lines of a bundle by rays, in total and per sphere.
@@ -98,6 +98,9 @@ class HierarchicalCasting(LineCasting):
         segments = self._lines(measurement)
         warn_of_faults(segments)
         return segments
+
+    def _pilot(self, first: int, count: int) -> Iterator[Pairs]:
+        return (chunk & ~OUTSIDE for chunk in super()._pilot(first, count))
 
     @property
     def _hierarchy(self) -> HierarchicalCastingSettings:

@@ -21,8 +21,8 @@ Index = NDArray[np.int64]
 OUTSIDE = np.uint32(1 << 31)
 #: Number of segments that are counted together.
 _BLOCK = 1 << 22
-#: Bytes of a segment while it is counted, and of a form factor.
-_SEGMENT_BYTES, _FACTOR_BYTES = 40, 120
+#: Bytes of a form factor while it is computed.
+_FACTOR_BYTES = 120
 
 
 def marked(pairs: Pairs, spheres: Index, tree: SphereTree) -> Pairs:
@@ -92,13 +92,7 @@ class PartialSegments:
 
         Raises :class:`RadiosityError` if the form factors do not fit into memory.
         """
-        n, free = len(self.patches), free_memory()
-        need = _SEGMENT_BYTES * min(len(self), _BLOCK) + _FACTOR_BYTES * min(2 * len(self), n**2)
-        if free is not None and need > free:
-            raise RadiosityError(
-                f"form factors of {n} patches and {len(self)} segments need {need / 1e9:.1f} GB; {free / 1e9:.1f} GB "
-                "are free: cast fewer lines, or make patches larger"
-            )
+        n = len(self.patches)
         found, both = (sparse().csr_array((n, n)) for _ in range(2))
         for pairs in self._blocks():
             ends = pairs & ~OUTSIDE
@@ -110,6 +104,12 @@ class PartialSegments:
             of = seen & inside.all(axis=1)
             one = _counted(ends[of, 0], ends[of, 1], n)
             both += one + one.T
+        need, free = _FACTOR_BYTES * found.nnz, free_memory()
+        if free is not None and need > free:
+            raise RadiosityError(
+                f"{found.nnz} form factors of {n} patches need {need / 1e9:.1f} GB; {free / 1e9:.1f} GB are free: cast "
+                "fewer lines, or make patches larger"
+            )
         return found.tocsr(), both.tocsr()
 
     def _views(self) -> Iterator[tuple[Index, Index]]:
@@ -166,7 +166,7 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
         errors = _errors(matrix, found, both, lines, patches.areas, estimator)
     for entries in (matrix, errors):
         entries.sort_indices()
-    sky, dark = shares(segments, lines)
+    sky, dark = shares(segments.to_sky, segments.to_dark, lines)
     return FormFactors(matrix, errors, sky, patches.areas, segments.counted, dark, **numbers_of(patches))
 
 
