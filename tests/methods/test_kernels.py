@@ -33,3 +33,84 @@ def test_kernels_read_aligned_memory(name: str) -> None:
     reading = [one for one in kernels if re.search(r"load <\d+ x [^\n]*align 1\b", texts[id(one)])]
     # Those that copy such memory are short, and the same for all scenes.
     assert kernels and not [one["size"] for one in reading if one["operation_count"] > 10]
+
+
+#: Parameters that a user may change in a loaded scene, of lamps, camera, surfaces and materials.
+CHANGED = (
+    "lamp.emitter.radiance.value",
+    "lamp.to_world",
+    "ball.emitter.radiance.value",
+    "ball.to_world",
+    "point.intensity.value",
+    "point.position",
+    "sky.radiance.value",
+    "sensor.to_world",
+    "sensor.x_fov",
+    "floor.to_world",
+    "floor.bsdf.reflectance.value",
+    "metal.bsdf.alpha.value",
+    "metal.to_world",
+)
+#: Settings, two values each.
+SETTINGS = {"radius": (0.004, 0.007), "clamp": (2.0, 3.0)}
+
+
+def stage(lamps: tuple[str, ...] = ("lamp", "ball", "point", "sky")) -> Any:
+    kinds = {"lamp": "rectangle", "ball": "sphere", "point": "point", "sky": "constant"}
+    scene: dict[str, Any] = {"type": "scene", "sensor": scenes.camera()}
+    scene |= {name: scenes.EMITTERS[kinds[name]]()["light"] for name in lamps}
+    scene["floor"] = scenes.plate((0.0, 0.0, 0.0), 2.0, up=True)
+    scene["metal"] = scenes.thing("roughconductor", (0.0, 0.3, 0.0))
+    return scenes.load(scene)
+
+
+def kernels_of(problem: Any, name: str, seed: int = 1, first: int = 0, **settings: Any) -> set[str]:
+    """Identities of the kernels of a picture; those on disk count, too."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        go(prepared(problem, name, seed, samples_per_pass=4, **settings), 1, seed, first)
+        return {one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT}
+
+
+def change(parameters: Any, key: str) -> None:
+    value = parameters[key]
+    if "to_world" in key:
+        parameters[key] = mi.Transform4f().translate([0.01, 0.002, 0.003]) @ mi.Transform4f(value.matrix)
+    else:
+        parameters[key] = type(value)(0.97 * value + 0.001)
+    parameters.update()
+
+
+def unsteady(problem: Any, name: str, keys: tuple[str, ...], times: int) -> dict[str, int]:
+    """Parameters and settings whose values are compiled into kernels, with the number of further kernels."""
+    parameters, found = mi.traverse(problem.scene), {}
+    kernels_of(problem, name)  # Mitsuba holds some values in another form until they are changed or read first
+    for key in keys:
+        change(parameters, key)
+        first = kernels_of(problem, name)
+        for _ in range(times - 1):
+            change(parameters, key)
+            found[key] = found.get(key, 0) + len(kernels_of(problem, name) - first)
+    first = kernels_of(problem, name)
+    found["seed"] = len(kernels_of(problem, name, seed=2) - first)
+    found["pass"] = len(kernels_of(problem, name, first=3) - first)
+    for setting in SETTINGS.keys() & set(methods.get(name).Settings.names()):
+        one, two = (kernels_of(problem, name, **{setting: value}) for value in SETTINGS[setting])
+        found[setting] = len(two - one)
+    return {key: count for key, count in found.items() if count}
+
+
+@pytest.mark.parametrize("lamps", [("lamp", "ball", "point", "sky"), ("ball",)], ids=["many", "one"])
+def test_a_changed_value_needs_no_kernel_of_its_own(lamps: tuple[str, ...]) -> None:
+    keys = [f"{lamps[0]}.emitter.radiance.value", "ball.to_world", "floor.to_world", "sensor.to_world"]
+    assert unsteady(stage(lamps), "vcm", tuple(keys), 3) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(methods.table()))
+def test_no_changed_value_needs_a_kernel_of_its_own(name: str) -> None:
+    """Twenty values of each; the memory of the process stays as it is."""
+    problem = stage()
+    own = {key: value for key, value in _SETTINGS.get(name, {}).items() if key != "samples_per_pass"}
+    assert not own or set(own) <= {"bootstrap", "cell_samples"}
+    assert unsteady(problem, name, CHANGED, 20) == {}

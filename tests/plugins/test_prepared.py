@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.tables import thinned
 
+import etendue
 from etendue import methods, plugins
 from etendue.scene import parameters
 
@@ -241,3 +242,22 @@ def test_nothing_is_kept_of_a_picture_that_failed(monkeypatch, prepared):
     prepared.clear()
     assert same(first, picture(scene))
     assert prepared == ["vcm"]
+
+
+@pytest.mark.parametrize("name", thinned(NAMES, ("bpt", "sppm", "pssmlt")))
+def test_lamps_that_are_switched_off_leave_a_black_picture(name):
+    """And a picture as before once they are on again."""
+    scene = mi.load_dict(room(name, **({"bootstrap": 1 << 12} if name in ("pssmlt", "mmlt") else {})))
+    params, before = mi.traverse(scene), picture(scene)
+    assert before.max() > 0.0
+    keys = ("lamp.emitter.radiance.value", "bulb.intensity.value", "sky.data")
+    lit = {key: type(params[key])(params[key]) for key in keys}
+    for key in keys:
+        params[key] = 0.0 * params[key]
+    params.update()
+    assert picture(scene).shape == before.shape and not picture(scene).any()
+    assert not etendue.render(scene, name, samples=1).image.any() if name == "bpt" else True
+    for key, value in lit.items():
+        params[key] = value
+    params.update()
+    assert same(picture(scene), before)

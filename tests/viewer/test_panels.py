@@ -112,6 +112,23 @@ def test_an_edit_is_in_the_picture_in_the_file_and_after_a_light_is_added(viewer
     np.testing.assert_allclose(method.develop(total, {}).image, shown, rtol=2e-3, atol=1e-4)
 
 
+def test_a_lamp_that_is_switched_off_leaves_a_black_picture(tmp_path):
+
+    async def conversation(page):
+        await state(page)
+        page.send("parameters.set", key="light.emitter.radiance.value", value=[0.0, 0.0, 0.0])
+        await state(page, lambda own: len(own["changes"]) == 1)
+        await done(page)
+        page.send("save", what="picture", name="black.exr")
+        await page.until("saved")
+        page.send("parameters.reset")
+        await state(page, lambda own: own["changes"] == {})
+
+    with etendue.view("cornell-glass", "path", size=SIZE, samples=1, max_depth=4, folder=tmp_path) as made:
+        talk(made, conversation)
+    assert not read_exr(tmp_path / "black.exr").image.any()
+
+
 def test_changes_are_kept_if_a_texture_cannot_be_loaded(tmp_path):
     """The panel then lists the changes that the scene has; a picture that is opened next has none."""
     lamp, sky, broken = "light.emitter.radiance.value", "sky.data", tmp_path / "broken.exr"
