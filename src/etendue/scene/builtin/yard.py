@@ -61,13 +61,17 @@ def yard() -> dict[str, Any]:
         x, z = _FAR * float(np.cos(turn)), _FAR * float(np.sin(turn))
         match number % 3:
             case 0:
-                lamp = {"type": "point", "position": [x, 5.0, z], "intensity": rgb(30.0, 24.0, 14.0)}
+                lamp: dict[str, Any] = {"type": "point", "position": [x, 5.0, z], "intensity": rgb(30.0, 24.0, 14.0)}
             case 1:
                 target = [0.5 * x, 0.0, 0.5 * z]
                 look = facing([x, 6.0, z], target)
                 lamp = {"type": "spot", "to_world": look, "intensity": rgb(300.0, 280.0, 240.0), "cutoff_angle": 35.0}
             case _:
                 place = mi.ScalarTransform4f().translate([x, 4.0, z]).rotate([1, 0, 0], 90).scale(0.4)
-                lamp = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": rgb(40, 36, 30)}}
+                lamp = {
+                    "type": "rectangle",
+                    "to_world": place,
+                    "emitter": {"type": "area", "radiance": rgb(40, 36, 30)},
+                }
         scene[f"lamp{number}"] = lamp
     return scene

@@ -4,16 +4,17 @@ At a place x, next event picks a group g of lights with the probability
 
 .. math:: P_g(x) = \beta \frac{n_g}{n} + (1 - \beta) \frac{w_g(x)}{\sum_h w_h(x)},
 
-where w is the fluence of the group at x if nothing is in between: of lamps J / (d^2 + s^2), with the radiant intensity J
-towards x, the distance d and the extent s of the group; of infinite lights the same everywhere. n_g of the n lights
-belong to the group. Every light is a group of its own, if there are at most :data:`MOST_GROUPS`; else lamps near to each
-other are a group, in which they are picked by the probabilities of the table.
+where w is the fluence of the group at x if nothing is in between: of lamps J / (d^2 + s^2), with the radiant intensity
+J towards x, the distance d and the extent s of the group; of infinite lights the same everywhere. n_g of the n lights
+belong to the group; learned probabilities may take the place of n_g / n. Every light is a group of its own, if there
+are at most :data:`MOST_GROUPS`; else lamps near to each other are a group, in which they are picked by the
+probabilities of the table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 #: Most groups of lights; each costs a few operations per sample.
 MOST_GROUPS = 16
 #: Probability beta of picking a light whatever the place.
-ANYWHERE = 0.35
+ANYWHERE = 0.5
 
 
 @dataclass
@@ -57,25 +58,27 @@ class Groups:
     ----------
     lamps: of each row of the light table.
     probabilities: (rows,) of the table, for picking in a group; a light with 0 is in no group.
+    visible: (rows,) learned factors on what lamps shine at a place; then ``probabilities`` are learned, too, and are
+        those of picking whatever the place.
     """
 
-    def __init__(self, lamps: Sequence[Lamp], probabilities: Array) -> None:
+    def __init__(self, lamps: Sequence[Lamp], probabilities: Array, visible: Array | None = None) -> None:
         self.lamps = lamps
-        self._arrange(probabilities)
-
-    def _arrange(self, probabilities: Array) -> None:
-        lit = np.flatnonzero(probabilities > 0.0)
-        infinite = [row for row in lit if self.lamps[row].is_infinite]
-        finite = [row for row in lit if not self.lamps[row].is_infinite]
+        lit = np.flatnonzero(probabilities > 0.0).tolist()
+        anywhere = np.full(len(lamps), 1.0 / len(lit)) if visible is None else probabilities / probabilities.sum()
+        if visible is not None:
+            lamps = [replace(lamp, power=lamp.power * share) for lamp, share in zip(lamps, visible, strict=True)]
+        infinite = [row for row in lit if lamps[row].is_infinite]
+        finite = [row for row in lit if not lamps[row].is_infinite]
         members = [[row] for row in infinite] if len(infinite) <= MOST_GROUPS // 4 else [infinite]
-        places = np.array([self.lamps[row].centre for row in finite]).reshape(-1, 3)
+        places = np.array([lamps[row].centre for row in finite]).reshape(-1, 3)
         members += [[finite[i] for i in part] for part in _parted(places, MOST_GROUPS - len(members))]
-        together = [_together([self.lamps[row] for row in rows]) for rows in members]
+        together = [_together([lamps[row] for row in rows]) for rows in members]
         brightest = max(lamp.power for lamp in together) or 1.0
         #: Of each group on the device: numbers that differ are opaque, so that kernels do not contain them.
         self.infinite = [lamp.is_infinite for lamp in together]
         self.aimed = [any(lamp.axis) for lamp in together]
-        self.even = [dr.opaque(mi.Float, len(rows) / len(lit)) for rows in members]
+        self.anywhere = [dr.opaque(mi.Float, float(anywhere[rows].sum())) for rows in members]
         self.power = [dr.opaque(mi.Float, _fluence(lamp) / brightest) for lamp in together]
         self.centre = [_opaque(lamp.centre) for lamp in together]
         self.spread = [dr.opaque(mi.Float, max(lamp.extent, 1e-6) ** 2) for lamp in together]
@@ -100,7 +103,7 @@ class Groups:
         fluence = [self._fluence(number, p) for number in range(len(self.power))]
         total = dr.maximum(sum(fluence), 1e-30)
         return [
-            ANYWHERE * even * total + (1.0 - ANYWHERE) * own for even, own in zip(self.even, fluence, strict=True)
+            ANYWHERE * share * total + (1.0 - ANYWHERE) * own for share, own in zip(self.anywhere, fluence, strict=True)
         ]
 
     def _fluence(self, number: int, p: mi.Point3f) -> mi.Float:

@@ -155,8 +155,9 @@ class LightTable:
             return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self.row(self._emitted_cdf.sample(u, active), active)
 
-    def picked_by(self, direct: Array, emitted: Array) -> LightTable:
+    def picked_by(self, direct: Array, emitted: Array, visible: Array | None = None) -> LightTable:
         """The same lights, picked with other probabilities, (count,) each: for next event estimation, and for emission.
+        ``visible``: (count,) factors on what lights shine at a place; without, next event picks alike everywhere.
         Probabilities are rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
         table.has_even_flux = False
@@ -165,8 +166,9 @@ class LightTable:
             copied_to_device(mi.Float, values.astype(np.float32))
             for values in (table.probabilities, own, _middles(own))
         )
-        if self.groups is not None:
-            table.groups = Groups(self.groups.lamps, table.probabilities)
+        table.groups = None
+        if self.groups is not None and visible is not None:
+            table.groups = Groups(self.groups.lamps, table.probabilities, visible)
         table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
         return table
 
