@@ -13,6 +13,7 @@ from support.running import mitsuba_path, run
 from support.statistics import assert_agree
 
 import etendue
+from etendue.scene import load
 
 #: Methods whose next event picks one of the lamps.
 METHODS = ("path", "guided", "bpt", "vcm", "auto")
@@ -50,6 +51,22 @@ def test_a_lamp_beside_a_sky_is_found_whatever_the_size_of_the_scene(method, hal
     converged, mitsubas = reference()
     picture = etendue.render(mi.load_dict(wall(half)), method, samples=64, max_depth=3).image
     assert error(np.asarray(picture)[..., :3], converged) < 1.2 * mitsubas
+
+
+@lru_cache(1)
+def yard() -> tuple[np.ndarray, float]:
+    """A converged picture of the scene `yard`, and the error of 64 samples of Mitsuba's path."""
+    problem = load("yard", size=(32, 24))
+    converged = mitsuba_path(problem, 1, 4096, max_depth=3)[0]
+    return converged, error(mitsuba_path(problem, 1, 64, seed=3, max_depth=3)[0], converged)
+
+
+@pytest.mark.parametrize("method", ["path", "guided", "bpt"])
+def test_near_lamps_of_a_yard_are_found(method):
+    """Ten lamps, a sky and a sun, which Mitsuba picks evenly."""
+    converged, mitsubas = yard()
+    picture = etendue.render(load("yard", size=(32, 24)).scene, method, samples=64, max_depth=3).image
+    assert error(np.asarray(picture)[..., :3], converged) < 0.5 * mitsubas
 
 
 def weighted(kind: str, weight: float) -> Any:

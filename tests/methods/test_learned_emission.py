@@ -236,4 +236,6 @@ def test_it_learns_which_lamp_matters():
             guide = runner.state()["emission"]["guide"]
             hidden = [i for i, name in enumerate(names_of_lights(problem)) if "above" in name]
             assert guide["emitted"][hidden].sum() < 0.15 and guide["direct"][hidden].sum() < 0.15
+            assert guide["visible"][hidden].max() < 0.2
+            assert guide["visible"][names_of_lights(problem).index("lamp")] > 0.5
     assert errors["on"] < 0.7 * errors["off"]

@@ -326,7 +326,6 @@ def emission_of_hit(
     area density is that of next event. ``distance``: length of the edge, by default that of the ray.
     """
     emitter = si.emitter(scene)
-    back, length = si.to_world(si.wi), si.t if distance is None else distance
     lights = lights.at(origin)
     light = lights.of(emitter, active)
     radiance = emitter.eval(si, active)
@@ -335,6 +334,7 @@ def emission_of_hit(
     direction_pdf = departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
     emission_density = of_emission(light, point_density * direction_pdf)
     if lights.has_sphere:
+        back, length = si.to_world(si.wi), si.t if distance is None else distance
         area_density = seen_density(light, si.p + back * length, -back, length, point_density)
     if lights.has_infinite:
         infinite = active & light.is_infinite
