@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -146,3 +147,20 @@ def test_every_technique_knows_which_lamps_the_others_pick(lamps):
     ):
         got = run(problem, method, samples=128, max_depth=4, **settings).images
         assert_agree(got, expected, (lamps, method), precision=0.05)
+
+
+@pytest.mark.parametrize("method", ["path", "guided"])
+def test_lamps_that_change_need_no_other_kernels(method):
+    """Brighter, dimmer, off and on again, a narrower spot, beside a sky."""
+    scene = many(0).scene
+    values, hashes = mi.traverse(scene), []
+    (key,) = (key for key in values.keys() if "square" in key and key.endswith("radiance.value"))  # noqa: SIM118
+    for radiance, angle in ((4.0, 30.0), (0.1, 20.0), (0.0, 12.0), (900.0, 35.0)):
+        values[key], values["spot.cutoff_angle"] = mi.Color3f(radiance), angle
+        values.update()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            etendue.render(scene, method, samples=1, max_depth=3)
+            kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
+        hashes.append({one["hash"] for one in kernels if one["operation_count"] > 500})
+    assert hashes[0] and all(found == hashes[0] for found in hashes[1:])

@@ -57,19 +57,20 @@ class Groups:
     Parameters
     ----------
     lamps: of each row of the light table.
-    probabilities: (rows,) of the table, for picking in a group; a light with 0 is in no group.
+    probabilities: (rows,) of the table, for picking in a group; a light with 0 is never picked, but has a place in a
+        group, so that lamps may be switched off and on without other kernels.
     visible: (rows,) learned factors on what lamps shine at a place; then ``probabilities`` are learned, too, and are
         those of picking whatever the place.
     """
 
     def __init__(self, lamps: Sequence[Lamp], probabilities: Array, visible: Array | None = None) -> None:
         self.lamps = lamps
-        lit = np.flatnonzero(probabilities > 0.0).tolist()
-        anywhere = np.full(len(lamps), 1.0 / len(lit)) if visible is None else probabilities / probabilities.sum()
-        if visible is not None:
-            lamps = [replace(lamp, power=lamp.power * share) for lamp, share in zip(lamps, visible, strict=True)]
-        infinite = [row for row in lit if lamps[row].is_infinite]
-        finite = [row for row in lit if not lamps[row].is_infinite]
+        lit = probabilities > 0.0
+        anywhere = lit / lit.sum() if visible is None else probabilities / probabilities.sum()
+        factors = np.where(lit, 1.0 if visible is None else visible, 0.0)
+        lamps = [replace(lamp, power=lamp.power * factor) for lamp, factor in zip(lamps, factors, strict=True)]
+        infinite = [row for row, lamp in enumerate(lamps) if lamp.is_infinite]
+        finite = [row for row, lamp in enumerate(lamps) if not lamp.is_infinite]
         members = [[row] for row in infinite] if len(infinite) <= MOST_GROUPS // 4 else [infinite]
         places = np.array([lamps[row].centre for row in finite]).reshape(-1, 3)
         members += [[finite[i] for i in part] for part in _parted(places, MOST_GROUPS - len(members))]
@@ -84,15 +85,15 @@ class Groups:
         self.spread = [dr.opaque(mi.Float, max(lamp.extent, 1e-6) ** 2) for lamp in together]
         self.axis = [_opaque(lamp.axis) for lamp in together]
         self.shape = [_opaque((lamp.even, lamp.slope, lamp.least)) for lamp in together]
-        # Lights in the order of the groups, and (group + sum of the probabilities in it up to a light) of each.
+        # Lights in the order of the groups, and (group + sum of the probabilities in it up to a light) of each. The
+        # probabilities in a group are multiples of 2^-18, so that these sums are exact.
         self.is_single = all(len(rows) == 1 for rows in members)
         order, sums = np.concatenate(members), []
         group, share = np.zeros(len(probabilities), np.uint32), np.zeros(len(probabilities))
         for number, rows in enumerate(members):
-            own = probabilities[rows] / probabilities[rows].sum()
+            own = in_steps(probabilities[rows], 18) if lit[rows].any() else np.full(len(rows), 1.0 / len(rows))
             group[rows], share[rows] = number, own
-            sums.append(number + np.minimum(np.cumsum(own), 1.0))
-            sums[-1][-1] = number + 1.0
+            sums.append(number + np.cumsum(own))
         self.order = copied_to_device(mi.UInt32, order.astype(np.uint32))
         self.sums = copied_to_device(mi.Float, np.concatenate(sums).astype(np.float32))
         self.group = copied_to_device(mi.UInt32, group)
@@ -149,7 +150,9 @@ class LightsAt:
         groups = self._groups
         if groups is None or not self._weights:
             return self.table.pick(u, active).row
-        left, group, below = u * sum(self._weights), mi.UInt32(0), mi.Float(0.0)
+        # Below the sum also after rounding: a light that is not lit may be the last one.
+        left = dr.minimum(u, 1.0 - 2.0**-22) * sum(self._weights)
+        group, below = mi.UInt32(0), mi.Float(0.0)
         own, before = mi.Float(self._weights[0]), mi.Float(0.0)
         for number, weight in enumerate(self._weights[1:], 1):
             below = below + self._weights[number - 1]
@@ -158,7 +161,7 @@ class LightsAt:
             own, before = dr.select(here, weight, own), dr.select(here, below, before)
         if groups.is_single:
             return dr.gather(mi.UInt32, groups.order, group, active)
-        within = dr.minimum((left - before) / own, 1.0 - 2.0**-18)  # so that the sum below is exact
+        within = dr.minimum((left - before) / own, 1.0 - 2.0**-18)
         last = dr.width(groups.order) - 1
         place = dr.binary_search(
             0, last, lambda i: dr.gather(mi.Float, groups.sums, i, active) <= mi.Float(group) + within
@@ -178,6 +181,15 @@ class LightsAt:
         light = self.table.row(row, active)
         light.pick = self.chance(row, active)
         return light
+
+
+def in_steps(probability: Array, bits: int) -> Array:
+    """Probabilities as multiples of 2^-bits whose sum is one; a positive one remains positive."""
+    steps = np.where(probability > 0.0, 1.0, 0.0)
+    steps += np.floor(probability / probability.sum() * (2.0**bits - steps.sum()))
+    steps[np.argmax(steps)] += 2.0**bits - steps.sum()
+    result: Array = steps / 2.0**bits
+    return result
 
 
 def _fluence(lamp: Lamp) -> float:
