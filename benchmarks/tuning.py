@@ -61,6 +61,7 @@ BEST = {
     "caustics": "bpm",
     "flat": "bpt",
     "street": "path",
+    "yard": "path",
 }
 #: Each half of a reference takes this many times the longest time.
 _HALF = 3.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from support.running import mitsuba_path, run
 from support.statistics import assert_agree
 
 import etendue
+from etendue.scene import load
 
 #: Methods whose next event picks one of the lamps.
 METHODS = ("path", "guided", "bpt", "vcm", "auto")
@@ -50,6 +52,22 @@ def test_a_lamp_beside_a_sky_is_found_whatever_the_size_of_the_scene(method, hal
     converged, mitsubas = reference()
     picture = etendue.render(mi.load_dict(wall(half)), method, samples=64, max_depth=3).image
     assert error(np.asarray(picture)[..., :3], converged) < 1.2 * mitsubas
+
+
+@lru_cache(1)
+def yard() -> tuple[np.ndarray, float]:
+    """A converged picture of the scene `yard`, and the error of 64 samples of Mitsuba's path."""
+    problem = load("yard", size=(32, 24))
+    converged = mitsuba_path(problem, 1, 4096, max_depth=3)[0]
+    return converged, error(mitsuba_path(problem, 1, 64, seed=3, max_depth=3)[0], converged)
+
+
+@pytest.mark.parametrize("method", ["path", "guided", "bpt"])
+def test_near_lamps_of_a_yard_are_found(method):
+    """Ten lamps, a sky and a sun, which Mitsuba picks evenly."""
+    converged, mitsubas = yard()
+    picture = etendue.render(load("yard", size=(32, 24)).scene, method, samples=64, max_depth=3).image
+    assert error(np.asarray(picture)[..., :3], converged) < 0.5 * mitsubas
 
 
 def weighted(kind: str, weight: float) -> Any:
@@ -129,3 +147,20 @@ def test_every_technique_knows_which_lamps_the_others_pick(lamps):
     ):
         got = run(problem, method, samples=128, max_depth=4, **settings).images
         assert_agree(got, expected, (lamps, method), precision=0.05)
+
+
+@pytest.mark.parametrize("method", ["path", "guided"])
+def test_lamps_that_change_need_no_other_kernels(method):
+    """Brighter, dimmer, off and on again, a narrower spot, beside a sky."""
+    scene = many(0).scene
+    values, hashes = mi.traverse(scene), []
+    (key,) = (key for key in values.keys() if "square" in key and key.endswith("radiance.value"))  # noqa: SIM118
+    for radiance, angle in ((4.0, 30.0), (0.1, 20.0), (0.0, 12.0), (900.0, 35.0)):
+        values[key], values["spot.cutoff_angle"] = mi.Color3f(radiance), angle
+        values.update()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            etendue.render(scene, method, samples=1, max_depth=3)
+            kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
+        hashes.append({one["hash"] for one in kernels if one["operation_count"] > 500})
+    assert hashes[0] and all(found == hashes[0] for found in hashes[1:])

@@ -108,7 +108,8 @@ def test_all_techniques_know_the_same_density_of_emission():
     si = problem.scene.ray_intersect(mi.Ray3f(emitted.ray.o + 0.02 * emitted.ray.d, -emitted.ray.d))
     # Rays begin a little off the light: at grazing angles, on a ball, opposite another point.
     met = emitted.active & si.is_valid() & is_emissive(problem.scene, si) & (si.t < 0.03) & (emitted.cos_light > 0.2)
-    _, _, density = emission_of_hit(guide.lights, problem.scene, si, met, departures=guide.departures)
+    origin = si.p + si.t * si.to_world(si.wi)
+    _, _, density = emission_of_hit(guide.lights, problem.scene, si, met, origin, departures=guide.departures)
     met = np.array(met)
     assert len(set(np.array(emitted.light)[met])) == 4  # all with a surface
     np.testing.assert_allclose(np.array(density)[met], np.array(emitted.emission_density)[met], rtol=0.02)
@@ -118,7 +119,7 @@ def test_all_techniques_know_the_same_density_of_emission():
     si = problem.scene.ray_intersect(floor.spawn_ray(direct.direction))
     met = direct.active & ~direct.is_delta & is_emissive(problem.scene, si)
     met &= dr.norm(si.p - direct.target) < 1e-3
-    _, area, density = emission_of_hit(guide.lights, problem.scene, si, met, departures=guide.departures)
+    _, area, density = emission_of_hit(guide.lights, problem.scene, si, met, floor.p, departures=guide.departures)
     cos = mi.Frame3f.cos_theta(si.wi)
     met = np.array(met & (cos > 0.5))  # a hit on a ball is a little beside the sampled point
     assert met.sum() > 1000
@@ -235,4 +236,6 @@ def test_it_learns_which_lamp_matters():
             guide = runner.state()["emission"]["guide"]
             hidden = [i for i, name in enumerate(names_of_lights(problem)) if "above" in name]
             assert guide["emitted"][hidden].sum() < 0.15 and guide["direct"][hidden].sum() < 0.15
+            assert guide["visible"][hidden].max() < 0.2
+            assert guide["visible"][names_of_lights(problem).index("lamp")] > 0.5
     assert errors["on"] < 0.7 * errors["off"]

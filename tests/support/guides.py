@@ -21,5 +21,8 @@ def taught(problem: Any, seed: int = 1) -> EmissionGuide:
     direct, emitted = uneven / uneven.sum(axis=1, keepdims=True)
     share = 0.3 + 0.5 * random.random(guide.count)
     share[~guide.lights.has_directions] = 0.0
-    guide.restore({"direct": direct, "emitted": emitted, "share": share, "crowding": 1.0, **trees.to_arrays()})
+    visible = random.random(guide.count) + 0.1
+    guide.restore(
+        {"direct": direct, "emitted": emitted, "visible": visible, "share": share, "crowding": 1.0, **trees.to_arrays()}
+    )
     return guide

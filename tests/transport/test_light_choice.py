@@ -93,7 +93,8 @@ def yard(lamps: int) -> Any:
 
 @pytest.mark.parametrize("lamps", [4, 40])
 def test_picks_at_a_place_have_the_probability_that_is_claimed(lamps):
-    """The number that picks is divided evenly; every light that is lit keeps a fifth of an equal share."""
+    """The number that picks is divided evenly; every light that is lit keeps half of an equal share,
+    in groups a fifth of it."""
     lights = LightTable(scenes.load(yard(lamps)).scene)
     n, lit = 1 << 18, lights.probabilities > 0.0
     u = (np.arange(n) + 0.5) / n
@@ -104,7 +105,7 @@ def test_picks_at_a_place_have_the_probability_that_is_claimed(lamps):
         assert chance.sum() == pytest.approx(1.0)
         np.testing.assert_allclose(np.bincount(picked.row, minlength=lights.count) / n, chance, atol=3e-5)
         np.testing.assert_allclose(picked.pick, chance[np.array(picked.row)], rtol=1e-5)
-        assert (chance[lit] > 0.2 / lit.sum()).all()
+        assert (chance[lit] > 0.4 / lit.sum()).all() if lights.count <= 16 else (chance[lit] > 0.1 / lit.sum()).all()
         assert (chance[~lit] == 0.0).all()
 
 

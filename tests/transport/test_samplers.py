@@ -253,7 +253,7 @@ def test_next_event_and_hits_agree_about_densities(names):
     cos = dr.select(infinite, 1.0, dr.abs(dr.dot(hit.n, direct.direction)))
     # The ray starts a little off the floor: at a grazing angle it meets another point of the light.
     seen &= cos > 0.3
-    radiance, area_density, emission_density = emission_of_hit(lights, scene, hit, seen)
+    radiance, area_density, emission_density = emission_of_hit(lights, scene, hit, seen, si.p)
     dr.eval(direct, hit, seen, cos, radiance, area_density, emission_density)
     pdf = dr.select(infinite, area_density, area_density * dr.square(hit.t) / cos)
     ratio = direct.light_ratio * direct.pdf * cos

@@ -325,19 +325,17 @@ def emission_of_hit(
     scene: mi.Scene,
     si: mi.SurfaceInteraction3f,
     active: mi.Bool,
+    origin: mi.Point3f,
     distance: mi.Float | None = None,
     departures: Departures | None = None,
-    origin: mi.Point3f | None = None,
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     """Emission towards the origin of a ray that hit ``si``: (radiance, area density, emission density).
 
     ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b,
-    eq. 43]. ``active``: lanes whose ``si.emitter(scene)`` is not null. ``distance``: length of the edge, by default
-    that of the ray. ``origin``: start of the edge, by default that of the ray to ``si``, which then must be a hit. The
-    area density is that of next event at the start of the edge.
+    eq. 43]. ``active``: lanes whose ``si.emitter(scene)`` is not null. ``origin``: start of the edge, for which the
+    area density is that of next event. ``distance``: length of the edge, by default that of the ray.
     """
-    back, length = si.to_world(si.wi), si.t if distance is None else distance
-    lights = lights.at(si.p + back * length if origin is None else origin)
+    lights = lights.at(origin)
     light = lights.of(si.emitter(scene), active)
     radiance = light.radiance(si, active)
     area_density = point_density = area_density_on(lights, light, light.pick, si.uv, si.prim_index, active)
@@ -349,6 +347,7 @@ def emission_of_hit(
     direction_pdf = departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
     emission_density = of_emission(light, point_density * direction_pdf)
     if lights.has_sphere:
+        back, length = si.to_world(si.wi), si.t if distance is None else distance
         area_density = seen_density(light, si.p + back * length, -back, length, point_density)
     if lights.has_infinite:
         infinite = active & light.is_infinite

@@ -188,7 +188,7 @@ class Walker:
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
         origin = s.ray.o - s.ray.d * s.travelled
-        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance, self.departures, origin)
+        found = emission_of_hit(lights or self.lights, scene, si, active, origin, vertex.distance, self.departures)
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
         if self.first is not None:

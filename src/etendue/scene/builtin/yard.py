@@ -61,7 +61,7 @@ def yard() -> dict[str, Any]:
         x, z = _FAR * float(np.cos(turn)), _FAR * float(np.sin(turn))
         match number % 3:
             case 0:
-                lamp = {"type": "point", "position": [x, 5.0, z], "intensity": rgb(30.0, 24.0, 14.0)}
+                lamp: dict[str, Any] = {"type": "point", "position": [x, 5.0, z], "intensity": rgb(30.0, 24.0, 14.0)}
             case 1:
                 target = [0.5 * x, 0.0, 0.5 * z]
                 look = facing([x, 6.0, z], target)

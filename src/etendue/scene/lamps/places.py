@@ -6,14 +6,15 @@ At a place x, next event picks a group g of lights with the probability
 
 where w is the fluence of the group at x if nothing is in between: of lamps J / (d^2 + s^2), with the radiant intensity
 J towards x, the distance d and the extent s of the group; of infinite lights the same everywhere. n_g of the n lights
-belong to the group. Every light is a group of its own, if there are at most :data:`MOST_GROUPS`; else lamps near to
-each other are a group, in which they are picked by the probabilities of the table.
+belong to the group; learned probabilities may take the place of n_g / n. Every light is a group of its own, if there
+are at most :data:`MOST_GROUPS`; else lamps near to each other are a group, in which they are picked by the
+probabilities of the table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 #: Most groups of lights; each costs a few operations per sample.
 MOST_GROUPS = 16
 #: Probability beta of picking a light whatever the place.
-ANYWHERE = 0.35
+ANYWHERE = 0.5
 
 
 @dataclass
@@ -56,40 +57,43 @@ class Groups:
     Parameters
     ----------
     lamps: of each row of the light table.
-    probabilities: (rows,) of the table, for picking in a group; a light with 0 is in no group.
+    probabilities: (rows,) of the table, for picking in a group; a light with 0 is never picked, but has a place in a
+        group, so that lamps may be switched off and on without other kernels.
+    visible: (rows,) learned factors on what lamps shine at a place; then ``probabilities`` are learned, too, and are
+        those of picking whatever the place.
     """
 
-    def __init__(self, lamps: Sequence[Lamp], probabilities: Array) -> None:
+    def __init__(self, lamps: Sequence[Lamp], probabilities: Array, visible: Array | None = None) -> None:
         self.lamps = lamps
-        self._arrange(probabilities)
-
-    def _arrange(self, probabilities: Array) -> None:
-        lit = np.flatnonzero(probabilities > 0.0)
-        infinite = [row for row in lit if self.lamps[row].is_infinite]
-        finite = [row for row in lit if not self.lamps[row].is_infinite]
+        lit = probabilities > 0.0
+        anywhere = lit / lit.sum() if visible is None else probabilities / probabilities.sum()
+        factors = np.where(lit, 1.0 if visible is None else visible, 0.0)
+        lamps = [replace(lamp, power=lamp.power * factor) for lamp, factor in zip(lamps, factors, strict=True)]
+        infinite = [row for row, lamp in enumerate(lamps) if lamp.is_infinite]
+        finite = [row for row, lamp in enumerate(lamps) if not lamp.is_infinite]
         members = [[row] for row in infinite] if len(infinite) <= MOST_GROUPS // 4 else [infinite]
-        places = np.array([self.lamps[row].centre for row in finite]).reshape(-1, 3)
+        places = np.array([lamps[row].centre for row in finite]).reshape(-1, 3)
         members += [[finite[i] for i in part] for part in _parted(places, MOST_GROUPS - len(members))]
-        together = [_together([self.lamps[row] for row in rows]) for rows in members]
+        together = [_together([lamps[row] for row in rows]) for rows in members]
         brightest = max(lamp.power for lamp in together) or 1.0
         #: Of each group on the device: numbers that differ are opaque, so that kernels do not contain them.
         self.infinite = [lamp.is_infinite for lamp in together]
         self.aimed = [any(lamp.axis) for lamp in together]
-        self.even = [dr.opaque(mi.Float, len(rows) / len(lit)) for rows in members]
+        self.anywhere = [dr.opaque(mi.Float, float(anywhere[rows].sum())) for rows in members]
         self.power = [dr.opaque(mi.Float, _fluence(lamp) / brightest) for lamp in together]
         self.centre = [_opaque(lamp.centre) for lamp in together]
         self.spread = [dr.opaque(mi.Float, max(lamp.extent, 1e-6) ** 2) for lamp in together]
         self.axis = [_opaque(lamp.axis) for lamp in together]
         self.shape = [_opaque((lamp.even, lamp.slope, lamp.least)) for lamp in together]
-        # Lights in the order of the groups, and (group + sum of the probabilities in it up to a light) of each.
+        # Lights in the order of the groups, and (group + sum of the probabilities in it up to a light) of each. The
+        # probabilities in a group are multiples of 2^-18, so that these sums are exact.
         self.is_single = all(len(rows) == 1 for rows in members)
         order, sums = np.concatenate(members), []
         group, share = np.zeros(len(probabilities), np.uint32), np.zeros(len(probabilities))
         for number, rows in enumerate(members):
-            own = probabilities[rows] / probabilities[rows].sum()
+            own = in_steps(probabilities[rows], 18) if lit[rows].any() else np.full(len(rows), 1.0 / len(rows))
             group[rows], share[rows] = number, own
-            sums.append(number + np.minimum(np.cumsum(own), 1.0))
-            sums[-1][-1] = number + 1.0
+            sums.append(number + np.cumsum(own))
         self.order = copied_to_device(mi.UInt32, order.astype(np.uint32))
         self.sums = copied_to_device(mi.Float, np.concatenate(sums).astype(np.float32))
         self.group = copied_to_device(mi.UInt32, group)
@@ -99,7 +103,9 @@ class Groups:
         """Probabilities of the groups at a place, times any number."""
         fluence = [self._fluence(number, p) for number in range(len(self.power))]
         total = dr.maximum(sum(fluence), 1e-30)
-        return [ANYWHERE * even * total + (1.0 - ANYWHERE) * own for even, own in zip(self.even, fluence, strict=True)]
+        return [
+            ANYWHERE * share * total + (1.0 - ANYWHERE) * own for share, own in zip(self.anywhere, fluence, strict=True)
+        ]
 
     def _fluence(self, number: int, p: mi.Point3f) -> mi.Float:
         power = self.power[number]
@@ -144,7 +150,9 @@ class LightsAt:
         groups = self._groups
         if groups is None or not self._weights:
             return self.table.pick(u, active).row
-        left, group, below = u * sum(self._weights), mi.UInt32(0), mi.Float(0.0)
+        # Below the sum also after rounding: a light that is not lit may be the last one.
+        left = dr.minimum(u, 1.0 - 2.0**-22) * sum(self._weights)
+        group, below = mi.UInt32(0), mi.Float(0.0)
         own, before = mi.Float(self._weights[0]), mi.Float(0.0)
         for number, weight in enumerate(self._weights[1:], 1):
             below = below + self._weights[number - 1]
@@ -153,7 +161,7 @@ class LightsAt:
             own, before = dr.select(here, weight, own), dr.select(here, below, before)
         if groups.is_single:
             return dr.gather(mi.UInt32, groups.order, group, active)
-        within = dr.minimum((left - before) / own, 1.0 - 2.0**-18)  # so that the sum below is exact
+        within = dr.minimum((left - before) / own, 1.0 - 2.0**-18)
         last = dr.width(groups.order) - 1
         place = dr.binary_search(
             0, last, lambda i: dr.gather(mi.Float, groups.sums, i, active) <= mi.Float(group) + within
@@ -173,6 +181,15 @@ class LightsAt:
         light = self.table.row(row, active)
         light.pick = self.chance(row, active)
         return light
+
+
+def in_steps(probability: Array, bits: int) -> Array:
+    """Probabilities as multiples of 2^-bits whose sum is one; a positive one remains positive."""
+    steps = np.where(probability > 0.0, 1.0, 0.0)
+    steps += np.floor(probability / probability.sum() * (2.0**bits - steps.sum()))
+    steps[np.argmax(steps)] += 2.0**bits - steps.sum()
+    result: Array = steps / 2.0**bits
+    return result
 
 
 def _fluence(lamp: Lamp) -> float:

@@ -38,7 +38,7 @@ from etendue.core import Array, SceneError, copied_to_device, on_device
 from ..graph import as_array, contents, plugin_name
 from ..members import Members
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
-from .places import Groups, Lamp, LightsAt
+from .places import Groups, Lamp, LightsAt, in_steps
 from .points import LightPoints
 from .radiance import RadianceCells, has_cells, is_black, is_smooth, measure
 from .rays import own_ray
@@ -155,8 +155,7 @@ class LightTable:
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         self._emitted, self._emitted_cdf = self._pick, self._cdf
-        #: Whether emitted rays have the same flux, because the probabilities are proportional to power.
-        self.has_even_flux = bool(np.allclose(pick, power / self.total_power))
+        self._flux = on_device(mi.Float, self._fluxes(pick))
         #: (count,) whether :class:`Light` has the density of a light's ray directions, so that another distribution can
         #: sample them; on the host.
         self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
@@ -184,20 +183,31 @@ class LightTable:
             return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self.row(self._emitted_cdf.sample(u, active), active)
 
-    def picked_by(self, direct: Array, emitted: Array) -> LightTable:
+    def picked_by(self, direct: Array, emitted: Array, visible: Array | None = None) -> LightTable:
         """The same lights, picked with other probabilities, (count,) each: for next event estimation, and for emission.
+        ``visible``: (count,) factors on what lights shine at a place; without, next event picks alike everywhere.
         Probabilities are rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
-        table.has_even_flux = False
-        table.probabilities, own = _in_steps(direct), _in_steps(emitted)
-        table._pick, table._emitted, table._middle = (
+        table.probabilities, own = in_steps(direct, 23), in_steps(emitted, 23)
+        table._pick, table._emitted, table._middle, table._flux = (
             copied_to_device(mi.Float, values.astype(np.float32))
-            for values in (table.probabilities, own, _middles(own))
+            for values in (table.probabilities, own, _middles(own), self._fluxes(own))
         )
-        if self.groups is not None:
-            table.groups = Groups(self.groups.lamps, table.probabilities)
+        table.groups = None
+        if self.groups is not None and visible is not None:
+            table.groups = Groups(self.groups.lamps, table.probabilities, visible)
         table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
         return table
+
+    def _fluxes(self, emitted: Array) -> Array:
+        """(count,) mean flux of the rays that the lights emit."""
+        known = (self.powers > 0.0) & (emitted > 0.0)
+        result: Array = np.divide(self.powers, emitted, out=np.full(self.count, self.total_power), where=known)
+        return result
+
+    def flux_of(self, row: mi.UInt32, active: mi.Bool | bool = True) -> mi.Float:
+        """Mean flux of the rays that the light ``row`` emits: its power over the probability of emission."""
+        return dr.gather(mi.Float, self._flux, row, active)
 
     def at(self, p: mi.Point3f) -> LightTable | LightsAt:
         """The lights, picked by next event as it is best at a place (see :mod:`.places`)."""
@@ -273,15 +283,6 @@ def _is_lit(row: _Row, emitter: mi.Emitter) -> bool:
     return (row.weight > 0.0 or not row.is_delta) and (row.power > 0.0 or not is_black(emitter))
 
 
-def _in_steps(probability: Array) -> Array:
-    """Probabilities as multiples of 2^-23 whose sum is one."""
-    steps = np.where(probability > 0.0, 1.0, 0.0)
-    steps += np.floor(probability / probability.sum() * (2.0**23 - steps.sum()))
-    steps[np.argmax(steps)] += 2.0**23 - steps.sum()
-    result: Array = steps / 2.0**23
-    return result
-
-
 def _middles(probability: Array) -> Array:
     """For each light, the middle of the numbers that pick it."""
     result: Array = np.cumsum(probability) - 0.5 * probability
@@ -303,25 +304,26 @@ class _Row:
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical light
 
     def lamp(self, emitter: mi.Emitter) -> Lamp:
-        """What the light shines at a place."""
+        """What the light shines at a place, times its weight."""
+        power = self.power * self.weight
         if self.kind == "infinite":
-            return Lamp(self.power * self.area_density, is_infinite=True)
+            return Lamp(power * self.area_density, is_infinite=True)
         if self.kind == "point":
             values = mi.traverse(emitter)
             if "to_world" not in values:
-                return Lamp(self.power, as_array(values["position"]).ravel().tolist())
+                return Lamp(power, as_array(values["position"]).ravel().tolist())
             place = np.asarray(values["to_world"].matrix, np.float64).reshape(4, 4)
             axis, cosine = place[:3, 2] / np.linalg.norm(place[:3, 2]), 1.0 - 0.5 / (np.pi * self.direction_density)
             even = 4.0 * np.pi * self.direction_density
-            return Lamp(self.power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
+            return Lamp(power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
         shape = emitter.get_shape()
         box = shape.bbox()
         low, high = (np.asarray(corner, np.float64).ravel() for corner in (box.min, box.max))
         centre, extent = (0.5 * (low + high)).tolist(), 0.5 * float(np.linalg.norm(high - low))
         if self.kind == "area" and plugin_name(shape) in ("rectangle", "disk"):
             normal = np.asarray(shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n, np.float64).ravel()
-            return Lamp(self.power, centre, extent, normal.tolist(), 0.0, 4.0, 0.0)
-        return Lamp(0.0 if self.kind == "beam" else self.power, centre, extent)
+            return Lamp(power, centre, extent, normal.tolist(), 0.0, 4.0, 0.0)
+        return Lamp(0.0 if self.kind == "beam" else power, centre, extent)
 
 
 def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:

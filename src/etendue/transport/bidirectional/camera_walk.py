@@ -202,7 +202,8 @@ class CameraWalk(BidirectionalWalk):
         if self.moments and s.sums:
             self.moments.add(s.sums, "next_event", contribution.weighted[0], weights.ratios, contribution.active)
         if self.training is not None:
-            self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
+            found, unshadowed = (contribution.weighted[0], contribution.active), (values[0], light.active)
+            self.training.add_light(light.light, found, unshadowed, s.worth)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, place: mi.UInt32 | None, active: mi.Bool) -> list[_Joined]:
         """Edges from a camera vertex of the class ``place`` to light vertices sampled from the cache."""

@@ -13,7 +13,7 @@ from etendue.film import after_light_scattering
 
 from .. import dimensions as dim
 from ..camera import CameraConnection
-from ..emission import emit
+from ..emission import EmittedRay, emit
 from ..lamps.spheres import seen_density
 from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric_cos, scatter_light
 from ..vertex import WalkVertex
@@ -95,9 +95,15 @@ class LightWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
-            # Paths from lights that are picked more often than by power have little flux, but contribute as much.
-            flux=None if self.lights.has_even_flux and self.departures is None else dr.sum(emitted.throughput) / 3.0,
+            flux=self._flux(emitted),
         )
+
+    def _flux(self, emitted: EmittedRay) -> mi.Float | None:
+        """Flux of the paths at their start: those from lights that are picked more often than by power, or along
+        learned directions, have little, but contribute as much."""
+        if self.departures is not None:
+            return dr.sum(emitted.throughput) / 3.0
+        return None if self.lights.count == 1 else self.lights.flux_of(emitted.light, emitted.active)
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
         """Trace one edge; splat, store and scatter at its end."""

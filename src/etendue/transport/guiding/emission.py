@@ -9,7 +9,8 @@ the picture's sum is least if a light l and a cell k of its directions have the 
 where F = c p is the contribution of the direction if it had the probability one. Both expectations are estimated by
 sums over the light paths of earlier passes, for any densities of these paths. P is mixed with the selection by power,
 and p with the directions of the light's kind, so that no probability is zero and a wrong estimate costs a bounded
-factor. The selection of lights by next event is learned in the same way, from the contributions of light points.
+factor. The selection of lights by next event is learned in the same way, from the contributions of light points; so is
+how much of what a light would contribute arrives, by which its weight at a place is multiplied.
 
 Contributions count relative to the brightness of the picture around their pixel, as in a relative error.
 """
@@ -33,6 +34,8 @@ from ..emission import EmittedRay
 from .departure import Departures
 from .worth import SQUARES, UNITS, Worth, capped, in_units
 
+#: A contribution and whether it counts.
+Found = tuple["mi.Color3f", "mi.Bool"]
 #: Share of the selection by power.
 _BY_POWER = 0.1
 #: Weight, in paths, of the mean of all lights in the estimate of a light.
@@ -55,11 +58,12 @@ class EmissionSums:
     weighted: Array  #: (places,) squares of contributions times density of the direction
     moments: Array  #: (lights * shares,) squares of contributions if the directions had each of the shares
     direct: Array  #: (lights,) squares of contributions of light points
+    unshadowed: Array  #: (lights,) the same as if nothing were in between
 
     @classmethod
     def zero(cls, lights: int, places: int) -> EmissionSums:
         """No paths."""
-        sizes = lights, places, places, places, lights * len(SHARES), lights
+        sizes = lights, places, places, places, lights * len(SHARES), lights, lights
         return cls(*(np.zeros(size) for size in sizes))
 
     def __add__(self, other: EmissionSums) -> EmissionSums:
@@ -67,7 +71,7 @@ class EmissionSums:
 
     def arrays(self) -> tuple[Array, ...]:
         """The sums in order."""
-        return self.count, self.credit, self.square, self.weighted, self.moments, self.direct
+        return self.count, self.credit, self.square, self.weighted, self.moments, self.direct, self.unshadowed
 
 
 class EmissionGuide:
@@ -81,6 +85,8 @@ class EmissionGuide:
         self.count = plain.count
         #: (lights,) learned probabilities of next event and of emission, on the host.
         self.direct = self.emitted = plain.probabilities
+        #: (lights,) root of the share of light points' contributions, squared, that arrives.
+        self.visible: Array = np.ones(self.count)
         #: Learned densities of directions, one tree per light.
         self.trees = Quadtrees.even(self.count)
         self._share = np.zeros(self.count)
@@ -90,7 +96,9 @@ class EmissionGuide:
 
     def _upload(self) -> None:
         #: The lights, with the learned selection.
-        self.lights = self._plain.picked_by(self.direct, self.emitted) if self.count > 1 else self._plain
+        self.lights = self._plain
+        if self.count > 1:
+            self.lights = self._plain.picked_by(self.direct, self.emitted, self.visible)
         self.departures = Departures(self.trees, self._share, self._plain.is_round)
 
     @property
@@ -117,6 +125,8 @@ class EmissionGuide:
             self.crowding = max(1.0, float((more * credit).sum() / credit.sum()))
         if self.count > 1 and sums.direct.sum() > 0.0:
             self.direct = _mixed(np.sqrt(self.direct * (sums.direct + 1e-3 * sums.direct.mean())), plain)
+            prior = 1e-3 * sums.unshadowed.mean()
+            self.visible = np.sqrt(np.minimum((sums.direct + prior) / (sums.unshadowed + prior), 1.0))
         if sums.moments.any():
             self._learn_directions(sums, tree, credit, square)
         self._upload()
@@ -140,15 +150,16 @@ class EmissionGuide:
         return {
             "direct": self.direct,
             "emitted": self.emitted,
+            "visible": self.visible,
             "share": self._share,
-            "crowding": self.crowding,
+            "crowding": np.array(self.crowding),
             **self.trees.to_arrays(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Set the state, as returned by :meth:`state`."""
-        self.direct, self.emitted, self._share = (
-            np.asarray(state[name], np.float64) for name in ("direct", "emitted", "share")
+        self.direct, self.emitted, self.visible, self._share = (
+            np.asarray(state[name], np.float64) for name in ("direct", "emitted", "visible", "share")
         )
         self.crowding, self.trees = float(state["crowding"]), Quadtrees.from_arrays(state)
         if len(self.direct) != self.count or self.trees.count != self.count:
@@ -179,7 +190,7 @@ class EmissionTraining(Worth):
         #: (paths,) contributions in units; set by :meth:`begin`.
         self.found = mi.UInt64(0)
         #: (lights,) squares of contributions of light points, in units.
-        self.direct = dr.zeros(mi.UInt64, guide.count)
+        self.direct, self.unshadowed = (dr.zeros(mi.UInt64, guide.count) for _ in range(2))
 
     def begin(self, emitted: EmittedRay) -> None:
         """Keep the light and the densities of each emitted path."""
@@ -205,12 +216,13 @@ class EmissionTraining(Worth):
         units = in_units(mi.luminance(value) * worth, UNITS)
         dr.scatter_add(self.found, units, path, active & (units > 0), dr.ReduceMode.Direct)
 
-    def add_light(self, light: mi.UInt32, value: mi.Color3f, worth: mi.Float, active: mi.Bool) -> None:
-        """Add a contribution of a light point."""
+    def add_light(self, light: mi.UInt32, found: Found, unshadowed: Found, worth: mi.Float) -> None:
+        """Add a contribution of a light point, and the same as if nothing were in between: (value, mask) each."""
         if self._guide.count == 1:
             return
-        units = in_units(dr.square(capped(mi.luminance(value) * worth)), SQUARES)
-        dr.scatter_add(self.direct, units, light, active & (units > 0), dr.ReduceMode.Direct)
+        for sums, (value, active) in ((self.direct, found), (self.unshadowed, unshadowed)):
+            units = in_units(dr.square(capped(mi.luminance(value) * worth)), SQUARES)
+            dr.scatter_add(sums, units, light, active & (units > 0), dr.ReduceMode.Direct)
 
     def sums(self) -> EmissionSums:
         """The sums over the paths, once camera paths are done."""
@@ -231,6 +243,6 @@ class EmissionTraining(Worth):
             amount = in_units(dr.square(value) * dr.minimum(ratio, 1e3), SQUARES)
             place = self._light * len(SHARES) + number
             dr.scatter_add(moments, amount, place, active, dr.ReduceMode.Direct)
-        found = count, credit, square, weighted, moments, self.direct
+        found = count, credit, square, weighted, moments, self.direct, self.unshadowed
         dr.eval(found)
         return EmissionSums(*(np.array(array).astype(np.float64) for array in found))

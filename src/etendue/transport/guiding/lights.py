@@ -82,7 +82,7 @@ class LightChoice:
         self.restore(shares[origin])
 
     def restore(self, shares: NDArray[np.float64]) -> None:
-        """Set the learned probabilities, (cells, lights), before selection by place is mixed in; zero where nothing has
-        been learned."""
+        """Set the learned probabilities, (cells, lights), before selection by place is mixed in; zero in cells where
+        nothing has been learned."""
         self.shares = np.array(shares, np.float64)
         self._upload()
