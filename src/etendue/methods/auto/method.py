@@ -284,8 +284,8 @@ class Auto(Carrying, ImageMethod):
         light_paths = LEARNER.light_paths * self.camera.pixels  # of a pass, over camera paths of a pixel
         # A photon is merged by several camera paths of a pixel, and of its neighbours: the noise of merges is not
         # filtered as that of camera paths is. The root fits passes of 1 to 4 camera paths per pixel.
-        noise = math.sqrt(self.samples_per_iteration) / BidirectionalSettings.eta_discount
-        return Moments(CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, noise)
+        discount, noise = BidirectionalSettings.eta_discount, math.sqrt(self.samples_per_iteration)
+        return Moments(CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, discount, noise)
 
     def _decide(self) -> None:
         """Choose the counts of the next passes."""

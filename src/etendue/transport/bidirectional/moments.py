@@ -13,7 +13,8 @@ r c^2, and the products of two connections of a vertex, of which there are n (n 
 accordingly. The contributions of light paths to the camera (splats) are taken as independent.
 
 A photon is merged by several camera paths of a pixel. The weights account for that by ``eta_discount``, a factor on the
-count of merges; the moments, by ``merge_noise``, a factor on the square of a merge.
+count of merges, which the square of a merge is divided by. Beyond that, the noise of merges is larger by a factor
+``merge_noise``: for each candidate, of the squares of its own merges, q (r c)^2 for a merge of the running pass.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ class Moments:
     used: those of the pass.
     size: width and height of the film.
     splat_scale: camera paths of a pixel over light paths of the pass, the factor on splats.
-    merge_noise: factor on the squares of merges.
+    eta_discount: factor on the count of merges in the weights.
+    merge_noise: variance of merges over that of as many independent samples.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Moments:
         used: Candidate,
         size: tuple[int, int],
         splat_scale: float,
+        eta_discount: float,
         merge_noise: float,
     ) -> None:
         self.candidates = candidates
@@ -83,7 +86,7 @@ class Moments:
         self._width = size[0]
         self._columns, self._rows = (-(-side // TILE) for side in size)
         self._splat_scale = dr.opaque(mi.Float, splat_scale)
-        self._merge_noise = merge_noise
+        self._per_merge, self._merge_noise = 1.0 / eta_discount, merge_noise
         connections = [c.connections if c.light_paths > 0.0 else 0 for c in candidates]
         once = [1.0] * len(candidates)
         self._shares = {
@@ -126,7 +129,8 @@ class Moments:
         c = dr.sum(value * self._importance) / 3.0
         active = active & dr.isfinite(c) & dr.isfinite(sum(ratios))
         c = dr.select(active, c, 0.0)
-        square = dr.square(c) * self._merge_noise if family == "merge" else dr.square(c)
+        merged = family == "merge"
+        square = dr.square(c) * self._per_merge if merged else dr.square(c)
         values = []
         for i, (share, ratio) in enumerate(zip(self._shares[family], ratios, strict=True)):
             ratio = dr.select(active, ratio, 0.0)
@@ -136,6 +140,9 @@ class Moments:
                 own = values[-1] * share
                 sums.total[i] = sums.total[i] + own
                 sums.excess[i] = sums.excess[i] - dr.square(own)
+                if merged:
+                    more = (self._merge_noise - 1.0) * share
+                    sums.excess[i] = sums.excess[i] + more * square * dr.square(ratio)
         return values
 
     def add_connections(
