@@ -32,3 +32,11 @@ def test_a_method_is_fitted_unless_it_was_told(noise, asked, samples, expected):
     assert fitted.samples_per_iteration == expected
     assert (fitted is method) == (asked != 0 or expected == 4)
     assert fitted is method or fitted.pilot == 3.5
+
+
+@pytest.mark.parametrize(("samples", "passes"), [(8, 8), (64, 16), (40, 20), (1, 1), (1000, 250)])
+def test_a_method_that_learns_has_its_passes(noise, monkeypatch, samples, passes):
+    """A fake that chooses four samples a pass and wants sixteen passes."""
+    monkeypatch.setattr(type(noise), "least_passes", 16, raising=False)
+    fitted = fit_samples(type(noise)(noise.settings.replace(samples_per_pass=0)), samples, None, 3)
+    assert -(-samples // fitted.samples_per_iteration) == passes

@@ -1,5 +1,6 @@
 """The camera: movements in closed form, and the matrices that sensors and pages get."""
 
+import dataclasses
 import math
 
 import mitsuba as mi
@@ -8,7 +9,7 @@ import pytest
 
 from etendue.core import OptionError
 from etendue.scene import Problem, RenderSpace, bundled_scene, load
-from etendue.viewer.camera import Pose, place, projection, vertical_fov
+from etendue.viewer.camera import Pose, held_back, place, projection, vertical_fov
 from etendue.viewer.preview import Preview
 
 
@@ -33,6 +34,25 @@ def test_movements_have_their_closed_form():
     assert np.allclose(start.rolled(math.pi / 2).up, np.cross([0, 0, -1], [0, 1, 0]))
     turned = start.turned(math.pi / 2, 0.0)
     assert np.allclose(turned.origin, start.origin) and np.allclose(turned.target, [4.0, 0.0, 4.0])
+
+
+def test_orbits_are_around_the_pivot_which_keeps_its_place():
+    start = pose(pivot=np.array([1.0, 0.5, 2.0]))
+    for turn in ((0.3, 0.0), (0.0, -0.4), (0.3, 0.2)):
+        moved = start.orbited(*turn)
+        before, after = (p._frame().T @ (p.pivot - p.origin) for p in (start, moved))
+        assert np.allclose(after, before)
+        assert moved.distance == pytest.approx(start.distance)
+        assert not np.allclose(moved.origin, start.origin)
+
+
+def test_an_orbit_ends_at_a_wall():
+    problem = load("cornell-box", size=(16, 16))
+    inside = dataclasses.replace(Pose.of(problem), origin=np.array([0.0, 0.0, 0.7]), target=np.array([0.0, 0.0, -0.9]))
+    near, through = inside.orbited(0.1, 0.0), inside.orbited(1.2, 0.0)
+    assert held_back(problem, inside, near) is near
+    assert held_back(problem, inside, through) is inside
+    assert held_back(problem, inside, inside) is inside
 
 
 @pytest.mark.parametrize("message", [{"orbit": [1]}, {"pan": [1, "a"]}, {"dolly": None}, {"fly": [1, 2, float("nan")]}])

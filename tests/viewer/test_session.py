@@ -97,6 +97,27 @@ def test_the_picture_is_refined_and_moves(viewer):
     talk(viewer, conversation)
 
 
+def test_a_drag_is_around_the_point_where_it_begins(viewer):
+    async def conversation(page):
+        before, _ = await page.until("state")
+        page.send("pick", x=0.3, y=0.7)
+        picked, _ = await page.until("picked")
+        point = np.array(picked["position"])
+        page.send("camera", grab=[0.3, 0.7], orbit=[0.05, 0.02])
+        after, _ = await page.until("state", lambda m: m["camera"]["origin"] != before["camera"]["origin"])
+        away = [np.linalg.norm(np.array(m["camera"]["origin"]) - point) for m in (before, after)]
+        assert away[1] == pytest.approx(away[0], rel=1e-5)
+        page.send("pick", x=0.3, y=0.7)
+        again, _ = await page.until("picked")
+        np.testing.assert_allclose(again["position"], point, atol=0.01)
+        page.send("camera", grab=[0.3, 1.2], orbit=[0.05, 0.02])
+        assert "x and y from 0 to 1" in (await page.until("error"))[0]["text"]
+        page.send("camera", reset=True)
+        await page.until("state", lambda m: m["camera"]["origin"] == before["camera"]["origin"])
+
+    talk(viewer, conversation)
+
+
 def test_the_picture_is_that_of_render(viewer, folder):
     """The same passes as `etendue render` makes; the EXR has the layers and how it was made."""
 

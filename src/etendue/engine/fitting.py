@@ -9,14 +9,16 @@ from etendue.scene import Problem
 
 
 def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Method:
-    """``method``, or a copy whose passes divide ``samples`` (camera paths per pixel) by :func:`fitting_samples`.
+    """``method``, or a copy whose passes divide ``samples`` (camera paths per pixel) by :func:`fitting_samples`. A
+    method may have an attribute ``least_passes``: so many passes, if there are as many samples.
 
     The result is prepared for ``problem`` with ``seed``. A method with a given ``samples_per_pass``, or without this
     setting, is returned unchanged.
     """
-    most = method.samples_per_iteration
+    chosen = method.samples_per_iteration
+    most = min(chosen, max(1, samples // int(getattr(method, "least_passes", 1))))
     fitting = fitting_samples(samples, most)
-    if fitting == most or getattr(method.settings, "samples_per_pass", 1) != 0:
+    if fitting == chosen or getattr(method.settings, "samples_per_pass", 1) != 0:
         return method
     kind: Any = type(method)
     fitted: Method = prepared(kind(method.settings.replace(samples_per_pass=fitting)), problem, seed)

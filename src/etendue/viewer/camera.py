@@ -45,6 +45,7 @@ class Pose:
     fov: float | None
     size: float  #: half the diagonal of the scene
     flat: bool = False
+    pivot: Array | None = None  #: the point around which the camera orbits, if it is not the target
 
     @classmethod
     def of(cls, problem: Problem) -> Pose:
@@ -96,14 +97,16 @@ class Pose:
         return pose
 
     def orbited(self, right: float, up: float) -> Pose:
-        """Move the camera to the right and up around the target."""
-        offset = _swung(self.origin - self.target, self.up, right, up)
-        return replace(self, origin=self.target + offset)
+        """Move the camera to the right and up around the pivot, which keeps its place in the picture if that is
+        possible."""
+        turn = _swing(self.origin - self.target, self.up, right, up)
+        pivot = self.target if self.pivot is None else self.pivot
+        return replace(self, origin=pivot + turn @ (self.origin - pivot), target=pivot + turn @ (self.target - pivot))
 
     def turned(self, right: float, up: float) -> Pose:
         """Turn the view to the right and up, in place."""
-        view = _swung(self.target - self.origin, self.up, -right, up)
-        return replace(self, target=self.origin + view)
+        view = self.target - self.origin
+        return replace(self, target=self.origin + _swing(view, self.up, -right, up) @ view)
 
     def shifted(self, right: float, up: float, forward: float) -> Pose:
         """Move camera and target, in units of their distance; in a flat view, sideways in units of its width."""
@@ -132,7 +135,7 @@ class Pose:
 
     def rolled(self, by: float) -> Pose:
         """Turn the up axis around the view direction."""
-        return replace(self, up=_rotated(self.up, _normalized(self.target - self.origin), by))
+        return replace(self, up=_rotation(_normalized(self.target - self.origin), by) @ self.up)
 
     @property
     def distance(self) -> float:
@@ -176,7 +179,7 @@ class Pose:
         if "origin" in message:
             pose = replace(pose, origin=space.from_scene(numbers(message, "origin", 3)))
         if "target" in message:
-            pose = replace(pose, target=space.from_scene(numbers(message, "target", 3)))
+            pose = replace(pose, target=space.from_scene(numbers(message, "target", 3)), pivot=None)
         if pose.distance < 1e-12 * pose.size:
             raise OptionError("the camera's target is its origin; move one of them")
         if "up" in message:
@@ -199,13 +202,27 @@ class Pose:
         scale = new.scale / old.scale
         origin, target = (new.from_scene(old.to_scene(point)) for point in (self.origin, self.target))
         own = self.own * [scale, scale, 1.0] if self.flat else self.own
-        return replace(self, origin=origin, target=target, own=own, size=self.size * scale)
+        pivot = None if self.pivot is None else new.from_scene(old.to_scene(self.pivot))
+        return replace(self, origin=origin, target=target, own=own, size=self.size * scale, pivot=pivot)
 
     @property
     def is_plain(self) -> bool:
         """Whether position, target, up and field of view describe the whole pose."""
         own = self.own
         return bool(np.allclose(own @ own.T, np.eye(3), atol=1e-4) and np.linalg.det(own) > 0)
+
+
+def held_back(problem: Problem, before: Pose, after: Pose) -> Pose:
+    """``after``, or ``before`` if a surface is between the two places of the camera."""
+    import mitsuba as mi
+
+    way = after.origin - before.origin
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return after
+    start, step = mi.Point3f(*before.origin.tolist()), mi.Vector3f(*(way / length).tolist())
+    ray = mi.Ray3f(start, step, length, 0.0, [])
+    return before if bool(np.asarray(problem.scene.ray_test(ray)).ravel()[0]) else after
 
 
 def place(sensor: mi.Sensor, pose: Pose) -> None:
@@ -269,16 +286,18 @@ def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float
     return away if 0 < away < math.inf else size
 
 
-def _swung(offset: Array, axis: Array, right: float, up: float) -> Array:
-    """A vector turned around the axis and towards the axis, but not across it."""
-    offset = _rotated(offset, axis, right)
+def _swing(offset: Array, axis: Array, right: float, up: float) -> Array:
+    """The rotation (3, 3) that turns a vector around the axis and towards the axis, but not across it."""
+    around = _rotation(axis, right)
+    offset = around @ offset
     length = float(np.linalg.norm(offset))
     angle = math.acos(min(1.0, max(-1.0, float(offset @ axis) / length)))
     side = np.cross(axis, offset)
     if np.linalg.norm(side) < 1e-9 * length:
-        return offset
+        return around
     wanted = min(max(angle - up, _POLE), math.pi - _POLE)
-    return _rotated(offset, _normalized(side), wanted - angle)
+    tilted: Array = _rotation(_normalized(side), wanted - angle) @ around
+    return tilted
 
 
 def _upright(own: Array) -> Array:
@@ -291,10 +310,11 @@ def _upright(own: Array) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ own
 
 
-def _rotated(vector: Array, axis: Array, angle: float) -> Array:
-    """``vector`` rotated around ``axis``, by Rodrigues' formula."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    turned: Array = vector * cos + np.cross(axis, vector) * sin + axis * (axis @ vector) * (1.0 - cos)
+def _rotation(axis: Array, angle: float) -> Array:
+    """The rotation (3, 3) around an axis of length 1, by Rodrigues' formula."""
+    x, y, z = axis
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: Array = np.eye(3) + math.sin(angle) * across + (1.0 - math.cos(angle)) * (across @ across)
     return turned
 
 

@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from etendue import film, methods
-from etendue.core import OptionError, is_whole, suggest
+from etendue.core import Array, OptionError, is_whole, suggest
 from etendue.engine import Budget
 from etendue.scene import BundledScene, Problem, graph
 
 from . import saving
-from .camera import place
+from .camera import Pose, held_back, place
 from .clients import Client
 from .comparing import Comparison
-from .protocol import number, text
+from .protocol import number, numbers, text
 from .refining import Still, checked
 
 if TYPE_CHECKING:
+    import mitsuba as mi
+
     from .session import Session
 
 #: Message to the pages at the end.
@@ -57,7 +59,11 @@ def _camera(session: Session, client: Client, message: Mapping[str, Any]) -> Non
         if not isinstance(message["set"], Mapping):
             raise OptionError("a camera is set by origin, target, up and fov")
         pose = pose.placed(message["set"], problem)
-    session.move(pose.moved(message))
+    if "grab" in message:
+        _, pivot = _seen_at(problem, pose, *numbers(message, "grab", 2))
+        pose = replace(pose, pivot=pivot)
+    moved = pose.moved(message)
+    session.move(held_back(problem, pose, moved) if "orbit" in message and not pose.flat else moved)
 
 
 def _views(session: Session, client: Client, message: Mapping[str, Any]) -> None:
@@ -78,28 +84,24 @@ def _views(session: Session, client: Client, message: Mapping[str, Any]) -> None
 
 
 def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
-    import mitsuba as mi
-
     x, y = number(message, "x"), number(message, "y")
-    if not (0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
-        raise OptionError("a place in the picture has x and y from 0 to 1")
+    _check_place(x, y)
     if isinstance(session.main, Still):
         client.send("picked", x=x, y=y, radiance=_radiance(session, x, y), shape=None)
         return
     problem, pose = _scene(session)
-    place(problem.sensor, pose)
-    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-    si = problem.scene.ray_intersect(ray)
+    si, point = _seen_at(problem, pose, x, y)
+    session.pose = replace(pose, pivot=point)
     found: dict[str, Any] = {"x": x, "y": y, "radiance": _radiance(session, x, y), "shape": None}
-    if bool(np.asarray(si.is_valid()).ravel()[0]):
+    if point is not None:
         shape = _pointed(si.shape)
         bsdf = shape.bsdf() if shape is not None else None
         found |= {
             "shape": graph.describe(shape, "shape") if shape is not None else "a shape",
             "material": graph.describe(bsdf, "material") if bsdf is not None else "",
             "emits": bool(shape is not None and shape.is_emitter()),
-            "position": problem.space.to_scene(_triple(si.p)).tolist(),
-            "point": _triple(si.p).tolist(),  # in render space, for `project`
+            "position": problem.space.to_scene(point).tolist(),
+            "point": point.tolist(),  # in render space, for `project`
             "normal": _triple(si.sh_frame.n).tolist(),
             "uv": np.asarray(si.uv, dtype=float).ravel().tolist(),
             "depth": float(np.asarray(si.t).ravel()[0]) / problem.space.scale,
@@ -234,6 +236,22 @@ def _scene(session: Session) -> tuple[Any, Any]:
         what = "this is a picture without a scene" if isinstance(session.main, Still) else "no scene is loaded"
         raise OptionError(f"{what}; open one first")
     return session.problem, session.pose
+
+
+def _check_place(x: float, y: float) -> None:
+    if not (0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
+        raise OptionError("a place in the picture has x and y from 0 to 1")
+
+
+def _seen_at(problem: Problem, pose: Pose, x: float, y: float) -> tuple[mi.SurfaceInteraction3f, Array | None]:
+    """(the surface at a place in the picture, its point in render space; ``None`` if there is none)."""
+    import mitsuba as mi
+
+    _check_place(x, y)
+    place(problem.sensor, pose)
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    si = problem.scene.ray_intersect(ray)
+    return si, _triple(si.p) if bool(np.asarray(si.is_valid()).ravel()[0]) else None
 
 
 def _settings(session: Session, method: str, values: Any) -> dict[str, Any]:

@@ -101,7 +101,7 @@ export class Stage {
       if (event.target.closest('.large')) return;
       stage.focus({ preventScroll: true });
       stage.setPointerCapture(event.pointerId);
-      this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, far: 0 });
+      this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, far: 0, at: this.place(event) });
       const [x] = this.place(event);
       this.dividing = !this.b.hidden && this.pointers.size === 1 && Math.abs(x * 100 - this.slider.value) < 2.5;
       event.preventDefault();
@@ -145,6 +145,9 @@ export class Stage {
     } else if (event.buttons & 4 || event.ctrlKey) {
       this.move({ look: [dx, -dy] });
     } else {
+      // Around what is under the pointer where the drag began.
+      if (!pointer.grabbed && this.inside(...pointer.at)) this.move({ grab: pointer.at });
+      pointer.grabbed = true;
       this.move({ orbit: [-dx * ORBIT, dy * ORBIT] });
     }
     pointer.far += Math.hypot(event.clientX - pointer.x, event.clientY - pointer.y);
@@ -152,7 +155,11 @@ export class Stage {
   }
 
   pick(x, y) {
-    if (x >= 0 && x <= 1 && y >= 0 && y <= 1) this.connection.send('pick', { x, y });
+    if (this.inside(x, y)) this.connection.send('pick', { x, y });
+  }
+
+  inside(x, y) {
+    return x >= 0 && x <= 1 && y >= 0 && y <= 1;
   }
 
   press(event) {
