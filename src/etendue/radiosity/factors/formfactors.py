@@ -90,8 +90,8 @@ class FormFactors(InNotebooks):
         sum."""
         sums = self.row_sums() + self.dark
         scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0)
-        rows, ends = _diagonal(scale), {"sky": self.sky * scale, "dark": self.dark * scale}
-        return replace(self, matrix=rows @ self.matrix, errors=rows @ self.errors, **ends)
+        matrix, errors = (_diagonal(scale) @ entries for entries in (self.matrix, self.errors))
+        return replace(self, matrix=matrix, errors=errors, sky=self.sky * scale, dark=self.dark * scale)
 
     def repaired(self) -> FormFactors:
         """Form factors with every row sum 1, together with the share on backs of faces, and ``A_i F_ij = A_j F_ji``, by
@@ -205,7 +205,7 @@ def form_factors(
     return FormFactors(matrix, errors, sky, patches.areas, counted, dark, **numbers_of(patches))
 
 
-def shares(to_sky: Array, to_dark: Array, lines: Array) -> tuple[Array, Array]:
+def shares(to_sky: NDArray[Any], to_dark: NDArray[Any], lines: Array) -> tuple[Array, Array]:
     """(n,) shares of the ``lines`` through each patch that lead to the sky, and to backs of faces."""
     sky, dark = (np.divide(ends, lines, out=np.zeros(len(lines)), where=lines > 0) for ends in (to_sky, to_dark))
     return sky, dark
