@@ -67,7 +67,7 @@ def variant() -> str:
 def _tidy_drjit(variant: str, request: pytest.FixtureRequest) -> Iterator[None]:
     """Give scenes, memory and kernels back after each file; kernels stay on disk, so nothing is compiled twice.
 
-    A scene that stays alive is a part of every later kernel: Dr.Jit compiles the materials of all scenes there are.
+    A scene that stays alive is a part of later kernels: Dr.Jit compiles the shapes of all scenes there are.
     """
     yield
     import drjit as dr
@@ -84,7 +84,7 @@ def _tidy_drjit(variant: str, request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _forget_scenes(request: pytest.FixtureRequest) -> Iterator[None]:
-    """One scene at a time: Dr.Jit compiles a virtual call for every object alive, those of other scenes included."""
+    """One scene at a time: Dr.Jit compiles calls of shapes, and Mitsuba's integrators, for every object alive."""
     yield
     if request.path.parent.name in WITH_SCENES:
         gc.collect()

@@ -164,6 +164,13 @@ def run_without_variant(code: str, *arguments: str) -> str:
     return run.stdout
 
 
+def test_calls_visit_one_scene():
+    """These visit the objects of all scenes, also emitters whose shape is gone; ``scene.Members`` does not."""
+    calls = ("dispatch", "sample_emitter_direction", "pdf_emitter_direction", "eval_emitter_direction")
+    nodes = (node for path in FILES for node in ast.walk(parsed(path)) if isinstance(node, ast.Attribute))
+    assert not [node.attr for node in nodes if node.attr in calls]
+
+
 def test_every_module_is_imported_without_a_variant():
     """The variant is the user's choice, made late; a type looked up at import would fail here, or set one."""
     names = [module_name(path) for path in FILES if path.name != "__main__.py"]

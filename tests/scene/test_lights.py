@@ -168,8 +168,8 @@ def test_emitters_that_are_all_black(black):
         black = black | {"bitmap": mi.Bitmap(zeros)}
     if "emitter" in black:
         black = black | {"emitter": {"type": "area", "radiance": scenes.bitmap(zeros)}}
-    lights = table(a=black)  # of a loaded scene, whose lamps may have been switched off
-    assert lights.is_black and lights.powers.sum() == 0.0 and lights.probabilities.sum() == 1.0
     described = {"type": "scene", "sensor": scenes.camera(), "floor": scenes.plate((0.0, 0.0, 0.0), 1.0, up=True)}
     with pytest.raises(SceneError, match="emits nothing"):
         scenes.load(described | {"lamp": black})
+    lights = LightTable(mi.load_dict(described | {"lamp": black}))  # where lamps may have been switched off
+    assert lights.is_black and lights.powers.sum() == 0.0 and lights.probabilities.sum() == 1.0
