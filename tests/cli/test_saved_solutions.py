@@ -11,7 +11,7 @@ from support.patches import box, joined
 
 from etendue.cli.main import main
 from etendue.jobs import picture
-from etendue.radiosity import read_solution, save_solution
+from etendue.radiosity import ABuffer, read_solution, save_solution, scene_patches, solve
 from etendue.surfaces import SurfaceError
 
 meshio = pytest.importorskip("meshio")
@@ -119,3 +119,10 @@ def test_a_picture_of_another_scene_in_python():
     solution = read_solution("s.npz")[0]
     with pytest.raises(SurfaceError, match="the solution is of another scene"):
         picture(solution, "cornell-box", size=(8, 8))
+
+
+def test_a_picture_of_patches_that_are_not_flat():
+    """Whole shapes, whose normals vanish in the mean."""
+    patches = scene_patches("scene.xml", per="shape")
+    made = picture(solve(patches, ABuffer(patches).cast(16)), "scene.xml", size=(8, 6), samples=1)
+    assert made.image.min() > 0

@@ -16,6 +16,7 @@ from etendue.formats import save_arrays
 from etendue.scene import Problem, RenderSpace
 
 from ..errors import SurfaceError
+from ..faces import triangles
 from ..patches import Patches
 from ..places import PatchSurfaces
 from ..savedpatches import saved_patches
@@ -25,7 +26,7 @@ from .places import MapSurfaces, on_surfaces
 
 #: Arrays of a map of particles.
 _NEAREST = ("position", "direction", "power", "path", "k", "kernel", "correct")
-#: Number of patches whose centres are searched on the surfaces of the scene, and least share that must be found.
+#: Number of triangles whose centres are searched on the surfaces of the scene, and least share that must be found.
 _TRIED, _THERE = 1000, 0.9
 
 
@@ -113,15 +114,14 @@ _OTHERWISE: dict[str, Any] = {"smooth": True, "kind": "radiosity"}
 
 def check_place(patches: Patches, problem: Problem, what: str) -> None:
     """Raise :class:`SurfaceError` if the patches are not on the surfaces of a scene; ``what`` is "the solution is"."""
-    real = np.flatnonzero(~patches.empty)
-    chosen = real[:: -(-len(real) // _TRIED)]
-    centres, normals = patches.centres[chosen], patches.normals[chosen]
+    corners, face = (x[:: -(-len(x) // _TRIED)] for x in triangles(patches.faces))  # a patch may not be flat
+    centres, normals = patches.vertices[corners].mean(axis=1), patches.face_normals[face]
     # Flat patches of a curved surface lie inside it, by up to a hundredth of the radius of the scene.
     found = on_surfaces(problem.scene, problem.space, centres, -normals, reach=1e-2 * patches.sphere[1])
-    if np.count_nonzero(found.hit) < _THERE * len(chosen):
+    if np.count_nonzero(found.hit) < _THERE * len(face):
         raise SurfaceError(
-            f"{what} of another scene: {np.count_nonzero(~found.hit)} of {len(chosen)} of its patches are "
-            "not on a surface of this one"
+            f"{what} of another scene: {np.count_nonzero(~found.hit)} of {len(face)} of its faces are not on a surface "
+            "of this one"
         )
 
 

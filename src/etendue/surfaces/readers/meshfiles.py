@@ -1,9 +1,12 @@
-"""Patches from mesh files, read by meshio (PLY, OBJ, STL, OFF, VTK, VTU, Gmsh and more) or trimesh (glTF and more)."""
+"""Patches from mesh files, read by meshio (PLY, STL, VTK, VTU, VTP, Gmsh and more), trimesh (glTF and more), or here
+(OBJ, OFF)."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from ..errors import PatchError
 from ..faces import face_vectors, flat_faces, repeated
 from ..heat import thermal
 from ..patches import Patches, warn_of_rounded
+from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off
 
 Index = NDArray[np.int64]
 
@@ -25,6 +29,10 @@ _FACES = ("triangle", "quad")
 _NAMED = 20
 #: Suffixes that trimesh reads and meshio does not.
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
+#: Suffixes of text that is read here, and of files that may be VTK's PolyData.
+_OWN, _VTK = (".off", ".obj"), (".vtk", ".vtp")
+#: Vertices, faces (f, 4), the face of the file that each of them is or is a part of, and arrays by face of the file.
+_Read = tuple[Array, Index, Index, dict[str, Array]]
 
 
 def read_patches(
@@ -48,21 +56,25 @@ def read_patches(
     objects: an array of the file with the number of an object for each face, negative for walls; the objects become
         the ``shapes`` of the patches, for :func:`find_objects`.
 
-    Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
-    a warning; their patches keep their rows, see ``left_out`` of :class:`Patches`. Raises :class:`PatchError` for a
-    file that cannot be read, without faces, with other types of faces, or without the named array, and
-    :class:`etendue.core.BackendError` if the library that reads it is not installed.
+    Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
+    without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
+    :class:`Patches`. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of
+    faces, or without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not
+    installed.
     """
     path = Path(path)
     if not path.is_file():
         raise PatchError(f"there is no mesh file {path}")
+    if path.stat().st_size == 0:
+        raise PatchError(f"{path} is empty")
     if temperature is not None and (isinstance(emission, str) or np.any(emission)):
         raise PatchError("patches emit by their temperature or have an emission; give one of the two")
-    read = _by_trimesh if path.suffix.lower() in _TRIMESH else _by_meshio
-    vertices, faces, cells = read(path)
+    suffix = path.suffix.lower()
+    read = _by_trimesh if suffix in _TRIMESH else _by_own if suffix in _OWN else _by_meshio
+    vertices, faces, rows, cells = read(path)
     if len(faces) == 0:
         raise PatchError(f"{path} has no triangles or quadrilaterals")
-    left_out = broken_faces(vertices, faces, str(path))
+    left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
     labels = _cell_array(path, cells, ids, whole=True)
     rho = (
@@ -75,17 +87,21 @@ def read_patches(
         groups, inverse = np.unique(labels, return_inverse=True)
         areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
         areas[left_out] = 0.0
+        areas = np.bincount(rows, areas).astype(np.float64)
         if isinstance(reflectance, str):
             rho = _means(rho, inverse, areas, len(groups))
         if isinstance(emission, str):
             exitance = _means(exitance, inverse, areas, len(groups))
         if isinstance(temperature, str):
             kelvin = _means(kelvin, inverse, areas, len(groups))
-    rest: Any = {"ids": labels, "two_sided": two_sided, "sky": sky, "left_out": left_out}
+    ids_of_parts = rows if labels is None else labels[rows]
+    rest: Any = {"ids": ids_of_parts, "numbers": rows, "two_sided": two_sided, "sky": sky, "left_out": left_out}
     patches = Patches(vertices, faces, reflectance=rho, emission=exitance, **rest)
     if objects is not None:
         numbers = _cell_array(path, cells, objects, whole=True)
-        _set_shapes(patches, np.arange(len(faces)) if labels is None else labels, numbers, f"{path}, array '{objects}'")
+        _set_shapes(
+            patches, np.arange(rows[-1] + 1) if labels is None else labels, numbers, f"{path}, array '{objects}'"
+        )
     return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
 
 
@@ -120,10 +136,13 @@ def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
     return thermal(patches, kelvin, 1 - patches.reflectance).with_properties(sky=sky)
 
 
-def broken_faces(vertices: Array, faces: Index, where: str, then: str = ", and their rows are zero") -> Index:
+def broken_faces(
+    vertices: Array, faces: Index, where: str, then: str = ", and their rows are zero", rows: Index | None = None
+) -> Index:
     """Indices of degenerate faces (m, 4) and of duplicates, which are named in a warning with what happens ``then``.
 
-    Coincident faces of opposite orientation are no duplicates. Raises :class:`PatchError` if there are no other faces.
+    rows: the polygon that each face is a part of; a polygon is named if no part is left. Coincident faces of opposite
+    orientation are no duplicates. Raises :class:`PatchError` if there are no other faces.
     """
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
@@ -132,22 +151,25 @@ def broken_faces(vertices: Array, faces: Index, where: str, then: str = ", and t
             "the mesh"
         )
     try:
-        quads, rows = flat_faces(vertices, faces)
+        quads, halves = flat_faces(vertices, faces)
     except PatchError as error:
         raise PatchError(f"{where}: {error}") from None
     _, flat = face_vectors(vertices, quads)
     empty = np.ones(len(faces), dtype=bool)
-    np.logical_and.at(empty, rows, flat)
+    np.logical_and.at(empty, halves, flat)
     kept = np.flatnonzero(~empty)
     twice = kept[repeated(vertices, faces[kept])]
     if len(twice) == len(kept):
         raise PatchError(f"{where}: none of {len(faces)} faces has an area")
     left_out = np.sort(np.concatenate([np.flatnonzero(empty), twice]))
-    if len(left_out):
-        named = ", ".join(map(str, left_out[:_NAMED])) + (", ..." if len(left_out) > _NAMED else "")
+    of = np.arange(len(faces)) if rows is None else rows
+    gone = np.setdiff1d(of, np.delete(of, left_out))
+    if len(gone):
+        named = ", ".join(map(str, gone[:_NAMED])) + (", ..." if len(gone) > _NAMED else "")
+        doubled = len(np.intersect1d(gone, of[twice]))
         logger.warning(
             "%s: of %d faces %d have no area and %d are duplicates; they are left out%s: face %s (counted from 0)",
-            *(where, len(faces), np.count_nonzero(empty), len(twice), then, named),
+            *(where, of[-1] + 1, len(gone) - doubled, doubled, then, named),
         )
     return left_out
 
@@ -175,41 +197,70 @@ def _means(values: ArrayLike, group: Index, areas: Array, count: int) -> Array:
     return np.stack([inverse * of_group for of_group in sums], axis=1)
 
 
-def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
+def _by_meshio(path: Path) -> _Read:
     meshio = library("meshio", f"reading {path}")
     said = io.StringIO()
     try:
+        data = path.read_bytes() if path.suffix.lower() in _VTK else b""
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # meshio prints to the terminal
-            mesh = meshio.read(path)
+            if (grid := grid_of_polydata(path, data)) is None:
+                mesh = meshio.read(path)
+            else:
+                with tempfile.TemporaryDirectory() as folder:
+                    copy = Path(folder, "mesh.vtk" if path.suffix.lower() == ".vtk" else "mesh.vtu")
+                    copy.write_bytes(grid)
+                    mesh = meshio.read(copy)
+    except PatchError:
+        raise
     except (Exception, SystemExit) as error:  # meshio exits the process for unknown formats
         reason = said.getvalue() if isinstance(error, SystemExit) else str(error)
         reason = " ".join(reason.split()).removeprefix("Error: ") or type(error).__name__
+        reason = re.sub(r"\S+/mesh\.vt[ku]", str(path), reason)  # not the copy
         raise PatchError(f"{path} cannot be read as a mesh: {reason}") from error
-    blocks = [(i, block.data) for i, block in enumerate(mesh.cells) if block.type in _FACES]
-    others = [block for block in mesh.cells if block.type not in _FACES and block.type.startswith((*_FACES, "polygon"))]
+    points = np.asarray(mesh.points)
+    if points.ndim != 2:
+        raise PatchError(f"{path} has no vertices")
+    blocks = [(i, block) for i, block in enumerate(mesh.cells) if block.type in _FACES or "polygon" in block.type]
+    others = [block for block in mesh.cells if block.type.startswith(_FACES) and block.type not in _FACES]
     if others:
         raise PatchError(
             f"{path} has {sum(map(len, others))} faces of type {others[0].type}, without which there would be holes: "
             "cut them into triangles or quadrilaterals"
         )
-    faces = [data[:, [0, 1, 2, -1]] for _, data in blocks]
     cells = {
         name: np.concatenate([np.asarray(arrays[i], dtype=np.float64) for i, _ in blocks])
         for name, arrays in mesh.cell_data.items()
         if blocks
     }
-    warn_of_rounded(str(path), np.asarray(mesh.points))
-    points = np.asarray(mesh.points, dtype=np.float64)
+    warn_of_rounded(str(path), points)
     if points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
-    return points, np.concatenate([np.empty((0, 4), np.int64), *faces]).astype(np.int64), cells
+    points = np.asarray(points[:, :3], dtype=np.float64)
+    if all(block.type in _FACES for _, block in blocks):
+        faces = [block.data[:, [0, 1, 2, -1]] for _, block in blocks]
+        quads = np.concatenate([np.empty((0, 4), np.int64), *faces]).astype(np.int64)
+        return points, quads, np.arange(len(quads)), cells
+    return _cut(path, points, polygons_of([block for _, block in blocks]), cells)
 
 
-def _by_trimesh(path: Path) -> tuple[Array, Index, dict[str, Array]]:
+def _by_own(path: Path) -> _Read:
+    """OFF and OBJ, which meshio reads in part."""
+    points, polygons, cells = (read_off if path.suffix.lower() == ".off" else read_obj)(path)
+    return _cut(path, points, polygons, cells)
+
+
+def _cut(path: Path, points: Array, polygons: list[list[int]], cells: dict[str, Array]) -> _Read:
+    try:
+        return points, *cut_polygons(points, polygons), cells
+    except PatchError as error:
+        raise PatchError(f"{path}: {error}") from None
+
+
+def _by_trimesh(path: Path) -> _Read:
     trimesh = library("trimesh", f"reading {path}")
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
         raise PatchError(f"{path} cannot be read as a mesh: {' '.join(str(error).split())}") from error
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-    return np.asarray(mesh.vertices, dtype=np.float64), faces[:, [0, 1, 2, 2]], {}
+    return np.asarray(mesh.vertices, dtype=np.float64), faces[:, [0, 1, 2, 2]], np.arange(len(faces)), {}
