@@ -15,8 +15,10 @@ import dataclasses
 import json
 import math
 import numbers
+import os
 from collections.abc import Callable, Iterable, Mapping
 from inspect import signature
+from pathlib import Path
 from typing import Any, Self, get_type_hints
 
 from .errors import OptionError, suggest
@@ -180,6 +182,13 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
 def is_number(value: Any) -> bool:
     """Whether ``value`` is a finite real number of Python or NumPy, and not a truth value."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def checked_path(value: Any, what: str = "a file") -> Path:
+    """``value`` as a path. Raises :class:`OptionError` if it is none."""
+    if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
+        raise OptionError(f"{what} is named by a text or a path, not {value!r}")
+    return Path(value)
 
 
 def is_whole(value: Any) -> bool:

@@ -11,7 +11,7 @@ from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
-from .loading import Source, checked_size, integrator_of, load, locate
+from .loading import Source, checked_size, described, integrator_of, load, locate
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
@@ -44,6 +44,7 @@ __all__ = [
     "checked_size",
     "colour",
     "composed_bsdf",
+    "described",
     "described_lights",
     "fingerprint",
     "graph",
