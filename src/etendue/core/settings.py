@@ -23,6 +23,8 @@ from typing import Any, Self, get_type_hints
 
 from .errors import OptionError, suggest
 
+#: Greatest whole number of a setting: kernels hold them in 32 bits.
+_MOST_INT = (1 << 31) - 1
 #: Limits of a run: name on the command line, and name as an argument of a function.
 BUDGETS: Mapping[str, str] = {"spp": "samples", "time": "seconds"}
 
@@ -163,6 +165,8 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     choices = limits.get("choices")
     if choices and value not in choices:
         raise OptionError(f"option '{field.name}' must be one of {', '.join(choices)}, not '{value}'")
+    if type(value) is int and abs(value) > _MOST_INT:
+        raise OptionError(f"option '{field.name}' must be from {-_MOST_INT} to {_MOST_INT}, not {value}")
     if type(value) in (int, float):
         if not math.isfinite(value):
             raise OptionError(f"option '{field.name}' must be finite, not {value}")
