@@ -78,7 +78,7 @@ BAD = [
     ("render cornell-box --max-depth 3 -D max_depth=4", 2, "are the same setting; give one of them"),
     ("render cornell-box -m path -o a.png --tone agz", 2, "did you mean 'agx'"),
     ("render cornell-box -m path -o a.png --exposure dark", 2, "number of stops or 'auto'"),
-    ("render cornell-box -m path -o a.png --exposure nan", 2, "finite number of stops"),
+    ("render cornell-box -m path -o a.png --exposure nan", 2, "number of stops from -300 to 300"),
     ("render cornell-box --aovs -D aovs=0", 2, "are the same setting; give one of them"),
     ("render cornell-box --pyramid -D pyramid=no", 2, "are the same setting; give one of them"),
     ("render cornell-box --no-bsdf-sampling -m path -D bsdf_sampling=no", 2, "--no-bsdf-sampling and -D bsdf_sampling"),

@@ -47,6 +47,8 @@ def test_values_are_read_as_typed(name, typed, value):
     [
         ("max_depth", "deep", "whole number"),
         ("max_depth", 2.5, "whole number"),
+        ("max_depth", "99999999999999999999", "to 2147483647"),
+        ("max_depth", 1e30, "to 2147483647"),
         ("max_depth", "2.5", "whole number"),
         ("max_depth", True, "whole number"),
         ("max_depth", None, "whole number"),

@@ -51,3 +51,12 @@ def test_how_to_go_on_with_an_existing_file(traced):
         with pytest.raises(OptionError) as caught:
             ParticleRequest(scene="cornell-box", output=traced, **words)
         assert str(caught.value).endswith(how)
+
+
+def test_a_small_budget_of_chains_has_small_passes():
+    made = etendue.trace_particles("cornell-box", method="metropolis_particles", paths=1000, bootstrap=1024)
+    assert 1000 <= made.counters["paths"] < 1500 and made.passes >= 4
+    asked = etendue.trace_particles(
+        "cornell-box", method="metropolis_particles", paths=1000, bootstrap=1024, chains=64, steps=64
+    )
+    assert asked.counters["paths"] == 4096 and asked.passes == 1

@@ -198,6 +198,7 @@ def test_what_the_3d_view_asks_for(viewer):
         mesh = arrays(message, data)
         assert mesh["triangles"].shape[1:] == (3, 3) and mesh["shape"].max() < len(message["names"])
         page.send("space.paths", source="camera", x=0.5, y=0.5, count=20, depth=4)
+        assert "compiled" in (await page.until("note"))[0]["text"]  # before the wait
         message, data = await page.until("space.paths")
         assert len(arrays(message, data)["edges"]) >= 20
         page.send("space.photons", count=200, file="")

@@ -32,7 +32,7 @@ from .samples import (
     seed_key,
     to_unit_float,
 )
-from .settings import Settings, is_number, is_whole, setting
+from .settings import Settings, checked_path, is_number, is_whole, setting
 
 __all__ = [
     "COMPONENTS_PER_VERTEX",
@@ -68,6 +68,7 @@ __all__ = [
     "bibtex",
     "check_llvm",
     "check_variant",
+    "checked_path",
     "choose_variant",
     "copied_to_device",
     "describe",

@@ -15,12 +15,16 @@ import dataclasses
 import json
 import math
 import numbers
+import os
 from collections.abc import Callable, Iterable, Mapping
 from inspect import signature
+from pathlib import Path
 from typing import Any, Self, get_type_hints
 
 from .errors import OptionError, suggest
 
+#: Greatest whole number of a setting: kernels hold them in 32 bits.
+_MOST_INT = (1 << 31) - 1
 #: Limits of a run: name on the command line, and name as an argument of a function.
 BUDGETS: Mapping[str, str] = {"spp": "samples", "time": "seconds"}
 
@@ -161,6 +165,8 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     choices = limits.get("choices")
     if choices and value not in choices:
         raise OptionError(f"option '{field.name}' must be one of {', '.join(choices)}, not '{value}'")
+    if type(value) is int and abs(value) > _MOST_INT:
+        raise OptionError(f"option '{field.name}' must be from {-_MOST_INT} to {_MOST_INT}, not {value}")
     if type(value) in (int, float):
         if not math.isfinite(value):
             raise OptionError(f"option '{field.name}' must be finite, not {value}")
@@ -180,6 +186,13 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
 def is_number(value: Any) -> bool:
     """Whether ``value`` is a finite real number of Python or NumPy, and not a truth value."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def checked_path(value: Any, what: str = "a file") -> Path:
+    """``value`` as a path. Raises :class:`OptionError` if it is none."""
+    if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
+        raise OptionError(f"{what} is named by a text or a path, not {value!r}")
+    return Path(value)
 
 
 def is_whole(value: Any) -> bool:

@@ -153,6 +153,6 @@ CURVES: Final[dict[str, ToneCurve]] = {curve.name: curve for curve in _CURVES}
 
 def tone_curve(name: str) -> ToneCurve:
     """The tone curve of that name. Raises :class:`OptionError` for an unknown one."""
-    if name not in CURVES:
+    if not isinstance(name, str) or name not in CURVES:
         raise OptionError(f"no tone curve '{name}'; {suggest(name, CURVES)}")
     return CURVES[name]

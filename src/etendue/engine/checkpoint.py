@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings
+from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings, checked_path
 from etendue.film import replacing
 
 from .recordfiles import read_records, remove_others, write_records
@@ -91,6 +91,7 @@ class Checkpoint:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Checkpoint:
         """Read a file. Raises :class:`CheckpointError` if it is missing, damaged, or not a checkpoint."""
+        path = checked_path(path, "a checkpoint")
         try:
             with open(path, "rb") as file:
                 arrays = _load(file)

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from etendue.core import EtendueError, OptionError, OutputError, describe
+from etendue.core import EtendueError, OptionError, OutputError, checked_path, describe
 from etendue.film import check_writable
 
 PathLike = str | os.PathLike[str]
@@ -21,8 +21,9 @@ Write = Callable[[Path], object]
 
 
 def listed(paths: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
-    """One path, or several, as a tuple."""
-    return (Path(paths),) if isinstance(paths, (str, os.PathLike)) else tuple(map(Path, paths))
+    """One path, or several, as a tuple. Raises :class:`OptionError`."""
+    several = isinstance(paths, Iterable) and not isinstance(paths, (str, bytes, os.PathLike))
+    return tuple(map(checked_path, paths)) if several else (checked_path(paths),)  # type: ignore[arg-type]
 
 
 def check_files(paths: Iterable[Path]) -> None:

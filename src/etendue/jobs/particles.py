@@ -136,7 +136,10 @@ class ParticleWork:
         problem = load(request.scene, parameters=request.parameters, memory=request.memory, change=change)
         begin = time.perf_counter()
         kind = TRACINGS[request.method]
-        tracing: Any = prepared(kind(kind.Settings.from_mapping(request.settings)), problem, request.seed)
+        settings = kind.Settings.from_mapping(request.settings)
+        if (steps := request.paths or request.particles) and kind is MetropolisParticles:
+            settings = settings.for_budget(steps, request.settings)
+        tracing: Any = prepared(kind(settings), problem, request.seed)
         paths = request.paths
         if request.particles is not None:
             paths = tracing.paths_for(request.particles)

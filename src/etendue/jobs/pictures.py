@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
-from etendue.core import InNotebooks, OptionError, Progress, Result, warn_of_nonfinite
+from etendue.core import InNotebooks, OptionError, Progress, Result, checked_path, warn_of_nonfinite
 from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
@@ -53,7 +53,7 @@ class Rendering(InNotebooks):
 
     def save_checkpoint(self, path: PathLike) -> None:
         """Write all that :func:`resume` needs. Raises :class:`OutputError` if it cannot be written."""
-        self._checkpoint().write(Path(path))
+        self._checkpoint().write(checked_path(path, "a checkpoint"))
 
     def __repr__(self) -> str:
         m, (height, width) = self.metadata, self.image.shape[:2]
@@ -121,7 +121,7 @@ class Outputs:
         """Check and make. Raises :class:`OptionError` for an unknown suffix, tone curve or exposure, a file that is
         named twice or a time that is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
-        kept = Path(checkpoint) if checkpoint is not None else None
+        kept = checked_path(checkpoint, "a checkpoint") if checkpoint is not None else None
         outputs = cls(listed(pictures), kept, save_every, separate, tone, exposure)
         for path in outputs.pictures:
             check_picture(path)
@@ -212,7 +212,7 @@ def save_result(
     """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (with the tone curve)."""
     from etendue import display  # imported late: most of it is for pages and plots
 
-    path = Path(path)
+    path = checked_path(path, "a picture")
     if check_picture(path) == ".exr" and separate:
         film.write_layers(path, result)
     elif path.suffix.lower() == ".exr":

@@ -104,6 +104,8 @@ def get(name: str) -> type[ImageMethod]:
     """The class of a method. Raises :class:`OptionError` if there is none, with the nearest name, or if its package
     cannot be loaded, with the cause."""
     methods = table()
+    if not isinstance(name, str):
+        raise OptionError(f"a method is chosen by its name, not by {name!r}")
     if name in methods:
         return methods[name]
     if name in _broken:

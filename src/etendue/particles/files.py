@@ -8,14 +8,13 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, InNotebooks, logger, suggest
+from etendue.core import Array, InNotebooks, checked_path, logger, suggest
 from etendue.scene import Problem
 
 from . import blocks
@@ -54,7 +53,7 @@ class ParticleFile(InNotebooks):
     """
 
     def __init__(self, path: PathLike) -> None:
-        self.path = Path(path)
+        self.path = checked_path(path, "a file of particles")
         try:
             with open(self.path, "rb") as file:
                 self._open(file)

@@ -23,7 +23,7 @@ from .lamps.radiance import (
 )
 from .lamps.rays import own_ray
 from .lamps.table import Light, LightTable
-from .loading import Source, checked_size, integrator_of, load, locate
+from .loading import Source, checked_size, described, integrator_of, load, locate
 from .members import Material, Members, bsdfs, emitters
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
@@ -60,6 +60,7 @@ __all__ = [
     "checked_size",
     "colour",
     "composed_bsdf",
+    "described",
     "described_lights",
     "emitters",
     "fingerprint",

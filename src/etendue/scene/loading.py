@@ -83,7 +83,7 @@ def load(
     if memory is not None and memory <= 0:
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
-        found = locate(source) if isinstance(source, (str, os.PathLike)) else source
+        found = described(source, logger.info)
         return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, change)
     if parameters:
         raise OptionError(_NO_VARIABLES)
@@ -101,7 +101,7 @@ def integrator_of(source: Source, parameters: Mapping[str, Any] | None = None) -
     """
     use_variant()
     if not _is_loaded(source):
-        found = locate(source, logger.debug) if isinstance(source, (str, os.PathLike)) else source
+        found = described(source, logger.debug)
         return take_integrator(_parse(found, parameters)[-1])[0]
     return "" if source.integrator() is None else built_integrator(source.integrator())[0]
 
@@ -136,6 +136,17 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
         raise SceneError(f"'{name}' is a folder without a {_SCENE_FILE}; name the scene file in it")
     hint = suggest(name, scenes, "bundled scenes")
     raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
+
+
+def described(source: Any, tell: Callable[[str], object]) -> Path | BundledScene | Mapping[str, Any]:
+    """The scene file, the bundled scene or the dictionary that ``source`` is or names; ``tell`` as for :func:`locate`.
+    Raises :class:`SceneError`."""
+    if isinstance(source, (str, os.PathLike)):
+        return locate(source, tell)
+    if isinstance(source, (BundledScene, Mapping)):
+        return source
+    kind = type(source).__name__
+    raise SceneError(f"a scene is a file, a bundled scene, a dictionary or a loaded mi.Scene, not an object of {kind}")
 
 
 def checked_size(size: Sequence[int]) -> Size:

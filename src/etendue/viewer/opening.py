@@ -11,12 +11,14 @@ from types import TracebackType
 from typing import Any, Self
 
 from etendue import methods
-from etendue.core import OptionError, use_variant
+from etendue.core import OptionError, logger, use_variant
 from etendue.display import TevDisplay
 from etendue.engine import Budget
+from etendue.scene import described, is_described
 
 from .access.addresses import given_address, origins_of, reached
 from .cells import Cell, running_cell
+from .refining import is_picture
 from .server import Server
 from .session import Session
 from .states import Asked
@@ -164,11 +166,14 @@ def view(
     then shows the picture and its layers, too. ``solution`` is a file of a solution of radiosity, which the 3-D view
     then shows.
 
-    Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. If
-    a scene cannot be loaded, the page says so, and another scene can be opened there.
+    Raises :class:`OptionError` for an argument out of range, :class:`SceneError` if there is no such scene, and
+    :class:`BackendError` if tornado is not installed. If a scene cannot be loaded, the page says so, and another scene
+    can be opened there.
     """
     methods.get(method).Settings.check_arguments(settings, f"method '{method}'", view)
     use_variant(variant)
+    if is_described(scene) and not is_picture(scene):
+        described(scene, logger.debug)
     asked = Asked(
         scene=scene,
         method=method,

@@ -12,6 +12,7 @@ from the share of the chains' states that are ends of first edges, whose flux is
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -53,6 +54,8 @@ RECORD, PATHS, _REPEATS, _TRACES, _SCALE = "particles", "paths", "repeats", "tra
 _TRACED = 64
 #: What is recorded of them.
 QUANTITIES = ("edges", "x", "y", "z")
+#: Least passes of a run: their spread gives the error of the flux. Least steps of a chain in a pass.
+LEAST_PASSES, _SHORTEST = 4, 8
 #: Share of the flux in the last bounce from which on a warning is given.
 _MUCH_AT_THE_END = 0.002
 
@@ -88,6 +91,15 @@ class MetropolisParticlesSettings(Settings):
         "of direct light among the particles (counted)",
         choices=("traced", "counted"),
     )
+
+    def for_budget(self, steps: int, given: Mapping[str, Any]) -> MetropolisParticlesSettings:
+        """Settings with passes so small that a run of ``steps`` has some, unless ``steps`` or ``chains`` are
+        ``given``."""
+        one = max(1, steps // LEAST_PASSES)
+        if {"steps", "chains"} & given.keys() or one >= self.chains * self.steps:
+            return self
+        length = min(max(one // self.chains, _SHORTEST), self.steps)
+        return self.replace(steps=length, chains=min(max(one // length, 1), self.chains))
 
 
 class MetropolisParticles(Carrying):

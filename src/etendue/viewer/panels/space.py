@@ -27,6 +27,8 @@ Arrays = Mapping[str, NDArray[Any]]
 
 #: Most paths that are drawn, and most light paths that make photons.
 _MOST_PATHS, _MOST_PHOTONS = 2000, 50_000
+#: Message to a page that asks for the first paths of a scene.
+_FIRST = "The first paths of a scene: their kernels are compiled, which takes seconds in a large scene; wait a moment."
 #: Rows of the picture of a guide's directions.
 _ROWS = 64
 #: Radius of a hash grid, relative to half the diagonal of the scene.
@@ -127,7 +129,7 @@ class Space(Panel):
 
     def _paths(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
         count = _count(message, _MOST_PATHS)
-        recorder = self._recorded(problem, int(number(message, "depth", -1)))
+        recorder = self._recorded(problem, int(number(message, "depth", -1)), client)
         source = text(message, "source", "camera")
         self._seed += 1
         if source == "camera":
@@ -143,11 +145,11 @@ class Space(Panel):
         if file := text(message, "file", "").strip():
             found: Arrays = particles.points(problem, Path(file))
         else:
-            found = self._hits(problem, message)
+            found = self._hits(problem, message, client)
         self._send(client, "photons", found, total=float(found["power"].sum(axis=0).mean()))
 
-    def _hits(self, problem: Problem, message: Mapping[str, Any]) -> Arrays:
-        recorder = self._recorded(problem, -1)
+    def _hits(self, problem: Problem, message: Mapping[str, Any], client: Client) -> Arrays:
+        recorder = self._recorded(problem, -1, client)
         return paths.hits(recorder.from_light(None, _count(message, _MOST_PHOTONS), self._seed))
 
     def _tree(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
@@ -163,11 +165,11 @@ class Space(Panel):
                 raise OptionError("the picture has no guide: render it by guided")
             found = trees.guide_cells(guide)
         elif kind == "kd-tree":
-            found = trees.kd_tree(self._hits(problem, message)["points"])
+            found = trees.kd_tree(self._hits(problem, message, client)["points"])
         else:
             assert self.session.pose is not None
             reach = number(message, "radius", 0.0) * problem.space.scale or _REACH * self.session.pose.size
-            found = trees.hash_grid(self._hits(problem, message)["points"], reach)
+            found = trees.hash_grid(self._hits(problem, message, client)["points"], reach)
         self._send(client, "trees", found, tree=kind)
 
     def _solve(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
@@ -202,8 +204,11 @@ class Space(Panel):
         guide = getattr(main.method, "guide", None) if isinstance(main, Refinement) else None
         return guide if isinstance(guide, Guide) else None
 
-    def _recorded(self, problem: Problem, depth: int) -> PathRecorder:
-        """A recorder for the current scene. It is kept for further paths, because making tables of lights is slow."""
+    def _recorded(self, problem: Problem, depth: int, client: Client) -> PathRecorder:
+        """A recorder for the current scene. It is kept for further paths, because making tables of lights is slow. The
+        page is told of the wait for the first paths."""
+        if self._recorder is None or self._recorder[0].scene is not problem.scene:
+            client.send("note", text=_FIRST)
         if self._recorder is None or self._recorder[0].scene is not problem.scene or self._recorder[1] != depth:
             self._recorder = problem, depth, PathRecorder(problem, depth)
         recorder = self._recorder[2]
