@@ -70,6 +70,29 @@ def test_lamps_in_instances():
     assert shape.id() == "instance"
 
 
+def panel(kind, distance, turn, size=0.8, **more):
+    """A lamp parallel to a ceiling, with other things about."""
+    frame = mi.ScalarTransform4d().translate([3, 2, 1]).rotate([0.6, 0, 0.8], turn)
+    down = mi.ScalarTransform4d().rotate([1, 0, 0], 180)
+    place = mi.ScalarTransform4d().translate([0, 0, 2 - distance])
+    if kind == "cube":  # on its underside
+        place = mi.ScalarTransform4d().translate([0, 0, 2 - distance - size])
+    lamp = {"type": kind, "to_world": frame @ place @ down.scale(size), "emitter": {"type": "area"}} | more
+    ceiling = {"type": "rectangle", "to_world": frame @ mi.ScalarTransform4d().translate([0, 0, 2]) @ down.scale(3)}
+    return {"type": "scene", "camera": {"type": "perspective"}, "lamp": lamp, "ceiling": ceiling}
+
+
+@pytest.mark.parametrize("turn", [12.0, 25.0, 61.0])  # where rounding decides what a ray hits
+def test_flat_lamps_in_the_plane_of_a_surface(turn):
+    for kind in ("rectangle", "disk"):
+        ((lamp, remark),) = load(panel(kind, 0.0, turn)).remarks
+        assert lamp == "emitter 'emitter' of type 'area' on shape 'lamp'"
+        assert "shape 'ceiling' of type 'rectangle'" in remark
+        assert load(panel(kind, 0.002, turn)).remarks == ()
+    assert load(panel("cube", 0.0, turn)).remarks == ()  # one of six sides touches the ceiling
+    assert load(panel("sphere", 0.8, turn)).remarks == ()
+
+
 def test_merged_meshes_are_named(tmp_path, caplog):
     scene = room("point", INSIDE["floor"])
     for name in ("floor", "wall"):

@@ -10,7 +10,7 @@ from etendue.core import SceneError, UnsupportedError, use_variant
 from etendue.scene import Problem, Source, graph, load
 
 from .bsdfs import check_bsdf
-from .emitters import check_emitter, is_surface
+from .emitters import check_emitter
 from .rays import check_ray_casting
 from .report import Finding, Report
 from .sensors import check_sensor
@@ -58,9 +58,7 @@ def check(
         )
     if not broken:
         for emitter in emitters:
-            name = graph.describe(emitter, "emitter")
-            if is_surface(emitter):
-                name += f" on {_short(emitter.get_shape())}"
+            name = graph.described_emitter(emitter)
             rows += check_emitter(emitter, loaded, name, quick=quick, seed=seed, level=level)
         rows += [Finding(name, "placement", "warn", 0.0, 0.0, f"it {remark}") for name, remark in problem.remarks]
         for item in sensors:
@@ -90,11 +88,5 @@ def _materials(scene: mi.Scene) -> Iterator[tuple[str, mi.BSDF, mi.Shape]]:
         seen.append(bsdf)
         name = graph.describe(bsdf, "material")
         if bsdf.id() in _GENERIC or f"'{bsdf.id()}'" not in name:
-            name = f"material of type '{graph.plugin_name(bsdf)}' on {_short(shape)}"
+            name = f"material of type '{graph.plugin_name(bsdf)}' on {graph.short(shape)}"
         yield name, bsdf, shape
-
-
-def _short(shape: mi.Shape) -> str:
-    """A shape's name, or its type if it has none."""
-    name = graph.describe(shape, "shape")
-    return name.partition(" of type")[0] if name.startswith("shape '") else name

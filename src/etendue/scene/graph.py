@@ -158,3 +158,16 @@ def describe(item: mi.Object, role: str) -> str:
     """``ROLE 'ID' of type 'PLUGIN'``, without the id if the scene gave none."""
     own, kind = name(item), plugin_name(item)
     return f"{role} '{own}' of type '{kind}'" if own else f"{role} of type '{kind}'"
+
+
+def short(shape: mi.Shape) -> str:
+    """A shape's name, or its type if it has none."""
+    own = describe(shape, "shape")
+    return own.partition(" of type")[0] if own.startswith("shape '") else own
+
+
+def described_emitter(emitter: mi.Emitter) -> str:
+    """A description of an emitter, with the shape that it is on."""
+    own, shape = describe(emitter, "emitter"), emitter.get_shape()
+    on_surface = shape is not None and mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface)
+    return f"{own} on {short(shape)}" if on_surface else own
