@@ -40,6 +40,8 @@ _NEAREST = 0.002
 #: Distance beyond which the radius is constant, at most, over the distance that a tenth of the pixels and that half of
 #: them see nearer surfaces than. The cells of the search grid are as wide as the largest radius everywhere.
 _FAR = 4.0, 2.0
+#: Least radius over the largest.
+_LEAST = 0.01
 
 
 def factors(text: str) -> tuple[float, ...]:
@@ -124,8 +126,9 @@ def first_radius(method: ImageMethod, radius: float, unit: str) -> FirstRadius:
         first, median = FirstRadius(wanted, seen=bounds), wanted
         if distances is not None:
             middle = float(np.median(distances))
-            least = float(np.quantile(distances, _NEAREST))
-            most = max(least, min(_FAR[0] * float(np.quantile(distances, 0.1)), _FAR[1] * middle, distances.max()))
+            least, tenth = (float(value) for value in np.quantile(distances, (_NEAREST, 0.1)))
+            most = min(_FAR[0] * tenth, _FAR[1] * middle, float(distances.max()))
+            least = max(least, _LEAST * most)
             places = Places(method.camera.origin, dr.opaque(mi.Float, least**2), dr.opaque(mi.Float, most**2))
             first, median = FirstRadius(wanted * most / middle, places, bounds), wanted * min(most / middle, 1.0)
     _note(method, {"scene_units": median / method.problem.space.scale, "pixels": median / pixel})
