@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import IndependentSource, OptionError
-from etendue.scene import Problem
+from etendue.scene import Problem, materials
 from etendue.transport import Gather, Places, Walker, first_smooth
 
 from .base import ImageMethod
@@ -129,7 +129,8 @@ def first_radius(method: ImageMethod, radius: float, unit: str) -> FirstRadius:
             least, tenth = (float(value) for value in np.quantile(distances, (_NEAREST, 0.1)))
             most = min(_FAR[0] * tenth, _FAR[1] * middle, float(distances.max()))
             least = max(least, _LEAST * most)
-            places = Places(method.camera.origin, dr.opaque(mi.Float, least**2), dr.opaque(mi.Float, most**2))
+            places = Places(mi.Point3f(method.camera.origin), mi.Float(least**2), mi.Float(most**2))
+            dr.make_opaque(places.origin, places.least, places.most)
             first, median = FirstRadius(wanted * most / middle, places, bounds), wanted * min(most / middle, 1.0)
     _note(method, {"scene_units": median / method.problem.space.scale, "pixels": median / pixel})
     return first
@@ -144,7 +145,9 @@ def _sight(method: ImageMethod) -> tuple[float, np.ndarray | None, tuple[mi.Poin
     source = IndependentSource(lanes, 0, "pilot camera", 0)
     pixel = mi.UInt32(mi.Float(camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
     ray, _, aperture = camera.primary(dr.minimum(pixel, camera.pixels - 1), source)
-    position, reached = first_smooth(method.walker(Walker, rr_depth=1 << 30), ray, source)
+    bsdfs = [one for one in materials(method.scene) if isinstance(one, mi.BSDF)]
+    through = any(not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) for bsdf in bsdfs)
+    position, reached = first_smooth(method.walker(Walker), ray, source, through)
     if not camera.can_splat:  # parallel rays
         dr.eval(position, reached)
         return float(np.array(camera.footprint(ray.o, aperture)).ravel()[0]), None, (position, reached)
