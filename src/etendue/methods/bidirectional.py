@@ -74,6 +74,7 @@ class Bidirectional(Carrying, ImageMethod):
     light_stride = 0
     _learning: LearnedEmission | None = None
     _choosing: LearnedConnections | None = None
+    _searched: Gather | None = None  #: the light vertices of the pilot
 
     @property
     def _learned(self) -> dict[str, Learned]:
@@ -164,6 +165,9 @@ class Bidirectional(Carrying, ImageMethod):
         films = splats, None, 64 * paths, self.moments
         run = Group("pilot ", 0, seed, self._discs.largest, Lanes(0, paths), lanes, pixel, 1, *films)
         radiance, counters = self._trace(run)
+        if self._searched and self.settings.connecting:
+            self._discs = radii.bounded(self, self._discs, self._searched, paths / self._paths)
+        self._searched = None
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
@@ -308,8 +312,7 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        if run.role and gather and self.settings.connecting:
-            self._discs = radii.bounded(self, self._discs, gather, paths / self._paths)
+        self._searched = gather if run.role else None
         s = self.settings
         layers = CameraSink(
             pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii

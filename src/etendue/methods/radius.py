@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import IndependentSource, OptionError
-from etendue.scene import Problem
+from etendue.scene import Problem, materials
 from etendue.transport import Gather, Places, Walker, first_smooth
 
 from .base import ImageMethod
@@ -40,6 +40,8 @@ _NEAREST = 0.002
 #: Distance beyond which the radius is constant, at most, over the distance that a tenth of the pixels and that half of
 #: them see nearer surfaces than. The cells of the search grid are as wide as the largest radius everywhere.
 _FAR = 4.0, 2.0
+#: Least radius over the largest.
+_LEAST = 0.01
 
 
 def factors(text: str) -> tuple[float, ...]:
@@ -124,9 +126,11 @@ def first_radius(method: ImageMethod, radius: float, unit: str) -> FirstRadius:
         first, median = FirstRadius(wanted, seen=bounds), wanted
         if distances is not None:
             middle = float(np.median(distances))
-            least = float(np.quantile(distances, _NEAREST))
-            most = max(least, min(_FAR[0] * float(np.quantile(distances, 0.1)), _FAR[1] * middle, distances.max()))
-            places = Places(method.camera.origin, dr.opaque(mi.Float, least**2), dr.opaque(mi.Float, most**2))
+            least, tenth = (float(value) for value in np.quantile(distances, (_NEAREST, 0.1)))
+            most = min(_FAR[0] * tenth, _FAR[1] * middle, float(distances.max()))
+            least = max(least, _LEAST * most)
+            places = Places(mi.Point3f(method.camera.origin), mi.Float(least**2), mi.Float(most**2))
+            dr.make_opaque(places.origin, places.least, places.most)
             first, median = FirstRadius(wanted * most / middle, places, bounds), wanted * min(most / middle, 1.0)
     _note(method, {"scene_units": median / method.problem.space.scale, "pixels": median / pixel})
     return first
@@ -141,7 +145,9 @@ def _sight(method: ImageMethod) -> tuple[float, np.ndarray | None, tuple[mi.Poin
     source = IndependentSource(lanes, 0, "pilot camera", 0)
     pixel = mi.UInt32(mi.Float(camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
     ray, _, aperture = camera.primary(dr.minimum(pixel, camera.pixels - 1), source)
-    position, reached = first_smooth(method.walker(Walker, rr_depth=1 << 30), ray, source)
+    bsdfs = [one for one in materials(method.scene) if isinstance(one, mi.BSDF)]
+    through = any(not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) for bsdf in bsdfs)
+    position, reached = first_smooth(method.walker(Walker), ray, source, through)
     if not camera.can_splat:  # parallel rays
         dr.eval(position, reached)
         return float(np.array(camera.footprint(ray.o, aperture)).ravel()[0]), None, (position, reached)

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 
+from . import dimensions as dim
 from .walk import SubPath, Walker
 
 #: Longest path, in edges, to the first surface that is not specular.
@@ -42,14 +43,15 @@ class _Sight(SubPath):
     reached: mi.Bool
 
 
-def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tuple[mi.Point3f, mi.Bool]:
+def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource, through: bool) -> tuple[mi.Point3f, mi.Bool]:
     """(positions of the first surfaces with a smooth component that camera rays reach, directly or through mirrors and
-    glass; mask of the rays that reach one)."""
+    glass; mask of the rays that reach one). ``through``: whether the scene has mirrors or glass; without, the kernel is
+    small."""
     path = _Sight(
         active=mi.Bool(True),
         ray=mi.Ray3f(ray),
         throughput=mi.Color3f(1.0),
-        eta=mi.Float(1.0),
+        eta=None,
         depth=mi.UInt32(1),
         travelled=mi.Float(0.0),
         rays=mi.UInt32(0),
@@ -63,9 +65,13 @@ def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tuple[m
         s.position = dr.select(here, vertex.position, s.position)
         s.reached |= here
         s.active &= vertex.valid & ~here & (s.depth < _MOST_EDGES)
-        scattered, _ = vertex.sample(source, s.active)
-        walker.advance(s, vertex, scattered, source)
+        if through:
+            u = source.next_1d(s.depth, dim.LOBE), mi.Point2f(*source.next_2d(s.depth, dim.DIRECTION))
+            scattered, _ = vertex.bsdf.sample(mi.BSDFContext(), vertex.si, *u, s.active)
+            s.ray = vertex.ray(vertex.si.to_world(scattered.wo))
+            s.active &= scattered.pdf > 0.0
+        s.depth += 1
         return s
 
-    path = walker.walk(path, edge, "sight")
+    path = walker.walk(path, edge, "sight") if through else edge(path)
     return path.position, path.reached
