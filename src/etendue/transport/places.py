@@ -67,7 +67,7 @@ def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource, through: b
         s.active &= vertex.valid & ~here & (s.depth < _MOST_EDGES)
         if through:
             u = source.next_1d(s.depth, dim.LOBE), mi.Point2f(*source.next_2d(s.depth, dim.DIRECTION))
-            scattered, _ = vertex.bsdf.sample(mi.BSDFContext(), vertex.si, *u, s.active)
+            scattered, _ = vertex.bsdf.call(mi.BSDF.sample, mi.BSDFContext(), vertex.si, *u, active=s.active)
             s.ray = vertex.ray(vertex.si.to_world(scattered.wo))
             s.active &= scattered.pdf > 0.0
         s.depth += 1
