@@ -125,11 +125,14 @@ def test_a_first_shot_that_cannot_reach_the_error(monkeypatch):
 
 
 def test_faces_on_each_other_are_told(caplog):
-    """A box that stands on the floor, with a bottom: lines meet one of the two."""
-    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), inward=True), box((0.2, 0.2, 0), (0.8, 0.8, 0.3)))
-    solve(Patches(vertices, faces, reflectance=0.5, emission=np.eye(12)[5]), points=1 << 14)
+    """Lines meet one of two faces that face the same way, such as a carpet on the floor. Of a box that stands on the
+    floor, with a bottom, they meet both."""
+    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), inward=True), square((0.2, 0.2, 0), (0.6, 0, 0), (0, 0.6, 0)))
+    solve(Patches(vertices, faces, reflectance=0.5, emission=np.eye(7)[5]), points=1 << 14)
     assert any("faces lie on each other" in message for message in caplog.messages)
     caplog.clear()
+    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), inward=True), box((0.2, 0.2, 0), (0.8, 0.8, 0.3)))
+    solve(Patches(vertices, faces, reflectance=0.5, emission=np.eye(12)[5]), points=1 << 14)
     solve(points=1 << 14)
     assert not caplog.messages
 

@@ -147,8 +147,8 @@ class MultipathPasses:
         return error if self.shot is None else np.hypot(error, self.shot.error)
 
     def missed(self, measurement: Measurement) -> float:
-        """Share of the expected segments that lines did not find. If it exceeds 0 by more than noise, faces lie on
-        each other: a line then meets only one of them."""
+        """Share of the expected segments that lines did not find. If it exceeds 0 by more than noise, faces that face
+        the same way lie on each other: a line then meets only one of them."""
         expected = self._engine.expected(self.samples_per_iteration).sum()
         return 1 - float(measurement.mean("segments").sum() / expected)
 
