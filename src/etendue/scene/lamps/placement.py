@@ -56,7 +56,7 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     for lamp, points in lamps:
         rows = numbers[first : first + len(points)].tolist()
         first += len(points)
-        others = [next((n for n in row if n and _hides(by_number[n], lamp)), 0) for row in rows]
+        others = [next((n for n in row if n in by_number and _hides(by_number[n], lamp)), 0) for row in rows]
         if 2 * np.count_nonzero(others) >= len(points):
             found.append((lamp, by_number[max(others, key=others.count) or max(others)]))
     return found
