@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import SampleSource
-
-from . import dimensions as dim
 from .walk import SubPath, Walker
 
 #: Longest path, in edges, to the first surface that is not specular.
@@ -43,10 +40,10 @@ class _Sight(SubPath):
     reached: mi.Bool
 
 
-def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource, through: bool) -> tuple[mi.Point3f, mi.Bool]:
-    """(positions of the first surfaces with a smooth component that camera rays reach, directly or through mirrors and
-    glass; mask of the rays that reach one). ``through``: whether the scene has mirrors or glass; without, the kernel is
-    small."""
+def first_smooth(walker: Walker, ray: mi.Ray3f, through: bool) -> tuple[mi.Point3f, mi.Bool]:
+    """(positions of the first surfaces with a smooth component that camera rays reach, directly, in mirrors or straight
+    through glass; mask of the rays that reach one). BSDFs are not sampled, which keeps the kernel small. ``through``:
+    whether the scene has mirrors or glass."""
     path = _Sight(
         active=mi.Bool(True),
         ray=mi.Ray3f(ray),
@@ -66,10 +63,9 @@ def first_smooth(walker: Walker, ray: mi.Ray3f, source: SampleSource, through: b
         s.reached |= here
         s.active &= vertex.valid & ~here & (s.depth < _MOST_EDGES)
         if through:
-            u = source.next_1d(s.depth, dim.LOBE), mi.Point2f(*source.next_2d(s.depth, dim.DIRECTION))
-            scattered, _ = vertex.bsdf.call(mi.BSDF.sample, mi.BSDFContext(), vertex.si, *u, active=s.active)
-            s.ray = vertex.ray(vertex.si.to_world(scattered.wo))
-            s.active &= scattered.pdf > 0.0
+            passes = mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Transmission)
+            mirrored = vertex.si.to_world(mi.reflect(vertex.si.wi))
+            s.ray = vertex.ray(dr.select(passes, vertex.incoming, mirrored))
         s.depth += 1
         return s
 
