@@ -1,6 +1,8 @@
 """The page in headless Chromium: it loads without an error, moves by keys, compares, tells errors, fits a phone."""
 
 import asyncio
+import json
+import re
 
 import pytest
 from support.browser import PROGRAM, Browser
@@ -61,6 +63,43 @@ def test_by_keyboard_alone(viewer):
         await tab.press("Space")
         await tab.until("document.getElementById('pause').getAttribute('aria-pressed') === 'true'")
         await tab.press("Space")
+        await tab.press("Home")
+        await tab.until(f"{ORIGIN} === '{before}'")
+
+    browse(viewer, visit)
+
+
+def test_a_drag_is_around_what_is_under_the_pointer(viewer):
+    """The point where the drag began stays where it is in the picture."""
+
+    async def visit(tab):
+        await tab.value("document.getElementById('stage').focus()")
+        await tab.press("KeyP")  # the line about it takes room from the picture
+        await tab.until("document.getElementById('picked').textContent.includes('material')")
+        box = await tab.value("JSON.stringify(document.getElementById('picture').getBoundingClientRect())")
+        box = json.loads(box)
+        x, y = box["left"] + 0.3 * box["width"], box["top"] + 0.8 * box["height"]
+
+        async def mouse(kind, x, y):
+            await tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+        async def material():
+            before = await tab.value("document.getElementById('picked').textContent")
+            await mouse("mousePressed", x, y)
+            await mouse("mouseReleased", x, y)
+            await tab.until(f"document.getElementById('picked').textContent !== {json.dumps(before)}")
+            return await tab.value("document.getElementById('picked').textContent")
+
+        first, before = await material(), await tab.value(ORIGIN)
+        await mouse("mousePressed", x, y)
+        for step in range(1, 11):
+            await mouse("mouseMoved", x + step, y)
+        await mouse("mouseReleased", x + 10, y)
+        await tab.until(f"{ORIGIN} !== '{before}'")
+        again = await material()
+        places = [[float(v) for v in re.findall(r"at (\S+) (\S+) (\S+)", text)[0]] for text in (first, again)]
+        assert places[1] == pytest.approx(places[0], abs=0.02)
+        await tab.value("document.getElementById('stage').focus()")
         await tab.press("Home")
         await tab.until(f"{ORIGIN} === '{before}'")
 
