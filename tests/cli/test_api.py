@@ -335,7 +335,7 @@ def test_session_reports_a_bad_scene_where_one_waits():
         ({"sensor": "a"}, OptionError, "a sensor is a whole number"),
         ({"memory": "1G"}, OptionError, "a memory bound is a whole number of bytes of at least 16777216"),
         ({"memory": 1}, OptionError, "a memory bound is"),
-        ({"method": 5}, OptionError, "no method '5'"),
+        ({"method": 5}, OptionError, "by its name, not by 5"),
         ({"spp": 1}, OptionError, "did you mean 'samples'"),
         ({"time": 1}, OptionError, "did you mean 'seconds'"),
         ({"samples_per_pass": 10**8}, OptionError, "at most 4096"),

@@ -173,7 +173,7 @@ def test_the_radius_follows_what_pixels_see(name):
     """Not the size of the scene, nor anything far away, in view or not."""
     near = [0.0, 0.0, 0.0]
     pixel = 2.0 * np.tan(np.deg2rad(15.0)) / 32 * np.hypot(4.0, 1.5)
-    expected = 1.75 * (32 * 32 / 64**2) ** (1 / 12) * pixel
+    expected = 1.5 * (32 * 32 / 256**2) ** (1 / 4) * pixel
     speck = {"type": "sphere", "center": [0, 900, 900], "radius": 1.0}
     for problem in (still_life(2.0), still_life(20.0), still_life(200.0), still_life(2.0, speck=speck)):
         assert radius_at(prepared(problem, name), *near) == pytest.approx(expected, rel=0.15)
@@ -214,7 +214,7 @@ def test_the_radius_is_in_the_metadata(name):
     pixel = 2.0 * np.tan(np.deg2rad(15.0)) / 32 * np.hypot(4.0, 1.5)
     assert noted["scene_units"] / noted["pixels"] == pytest.approx(pixel, rel=0.2)
     if name != "pm":
-        assert noted["pixels"] == pytest.approx(1.75 * (32 * 32 / 64**2) ** (1 / 12), rel=0.01)
+        assert noted["pixels"] == pytest.approx(1.5 * (32 * 32 / 256**2) ** (1 / 4), rel=0.01)
 
 
 @pytest.mark.parametrize(

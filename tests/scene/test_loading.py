@@ -317,7 +317,7 @@ def arguments():
     yield "nowhere.xml", {}, SceneError, "no scene file 'nowhere.xml'.*bundled scenes: .*cornell-box"
     yield "cornell-bax", {}, SceneError, "did you mean 'cornell-box'"
     yield ".", {}, SceneError, "is a folder without a scene.xml; name the scene file in it"
-    yield __file__, {}, SceneError, "not a Mitsuba scene file"
+    yield __file__, {}, SceneError, "is not a scene file"
     yield "cornell-box", {"size": (0, 5)}, OptionError, "at least one pixel"
     yield "cornell-box", {"size": (99999, 99999)}, OptionError, "at most 2\\^30 pixels"
     yield "cornell-box", {"size": "big"}, OptionError, "width, height"

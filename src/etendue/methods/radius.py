@@ -19,15 +19,15 @@ from .base import ImageMethod
 #: The radius in widths of a pixel if the setting is 0, in a picture of so many pixels, and the exponent by which it
 #: grows with their number. The best radius of a density estimate of N points in the plane falls with N^(1/6)
 #: [Silverman 1986, sec. 4.3]. Light paths are as many as pixels, so that in widths of a pixel it grows with the cube
-#: root of their number. A quarter of this exponent bounds the time, which grows with the photons in the disc.
-_PIXELS, _PICTURE, _GROWTH = 1.75, 64 * 64, 1.0 / 12.0
+#: root of their number; a somewhat smaller exponent bounds the time, which grows with the photons in the disc.
+_PIXELS, _PICTURE, _GROWTH = 1.5, 256 * 256, 1.0 / 4.0
 #: Names of the units; see :func:`first_radius`.
 UNITS = ("scene", "pixel", "absolute")
 UNIT_DOC = (
     "unit of a given radius: half the diagonal of the scene's bounding box (scene), the width of a pixel at the "
     "distance of the surface from the camera (pixel), or scene units (absolute)"
 )
-RADIUS_DOC = "0: about two widths of a pixel at the distance of the surface from the camera"
+RADIUS_DOC = "0: by the width of a pixel at the distance of the surface from the camera (1.5 of them in 256x256 pixels)"
 #: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
 #: Most photons of a pass in a disc, in the mean over the pixels. Tuned on ``cornell-glass``, where merging mostly takes
@@ -96,7 +96,8 @@ def bounded(method: ImageMethod, first: FirstRadius, gather: Gather, share: floa
     if first.seen is None:
         return first
     point, there = first.seen
-    limit, depth = first.share(point) * first.largest**2, dr.opaque(mi.UInt32, _ANY_DEPTH)
+    limit = first.share(point) * dr.opaque(mi.Float, first.largest**2)
+    depth = dr.opaque(mi.UInt32, _ANY_DEPTH)
     count = gather.around(point, depth, lambda _, found: found + 1, mi.UInt32(0), there, limit)
     dr.eval(count)
     photons = float(np.array(count).sum()) / max(1, int(np.array(there).sum())) / share

@@ -32,10 +32,11 @@ class Members:
     kind: class of pointers, ``mi.EmitterPtr`` or ``mi.BSDFPtr``.
     ids: number of each object in Dr.Jit's registry, which is the value of a pointer.
     keys: key of each object, different small integers.
+    kept: an object that no scene keeps.
     """
 
-    def __init__(self, kind: type, ids: ArrayLike, keys: ArrayLike) -> None:
-        self._kind = kind
+    def __init__(self, kind: type, ids: ArrayLike, keys: ArrayLike, kept: mi.Object | None = None) -> None:
+        self._kind, self._kept = kind, kept
         self._ids, keys = np.asarray(ids, np.uint32), np.asarray(keys, np.uint32)
         place = np.full(int(keys.max(initial=0)) + 1, len(keys), np.uint32)
         place[keys] = np.arange(len(keys))
@@ -85,6 +86,7 @@ def emitters(scene: mi.Scene) -> Members:
 def bsdfs(scene: mi.Scene) -> Members:
     """The BSDFs of a scene's shapes by their pointers. Those inside other BSDFs are left out: no ray
     finds them."""
-    own = [shape.bsdf() for shape in shapes(scene)]
-    ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own if bsdf is not None}
-    return Members(mi.BSDFPtr, sorted(ids), sorted(ids))
+    own = [bsdf for shape in shapes(scene) if (bsdf := shape.bsdf()) is not None]
+    spare = None if own else mi.load_dict({"type": "diffuse"})  # an empty part of a divided scene: never found
+    ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own or [spare]}
+    return Members(mi.BSDFPtr, sorted(ids), sorted(ids), spare)

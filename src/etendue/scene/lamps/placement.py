@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import numpy as np
 
-from etendue.core import Array
+from etendue.core import Array, copied_to_device
 
 from ..graph import as_array, contents, describe, described_emitter, plugin_name
 from ..space import half_diagonal, warn_once
@@ -40,10 +40,10 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     place = np.concatenate([points for _, points in lamps])
     reach = (_NEAR * half_diagonal(scene) + _STEPS * np.abs(place).max(axis=1))[:, None, None]
     along = _DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
-    start = (place[:, None] - reach * along).reshape(-1, 3).T
-    ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(start, np.float32)), mi.Vector3f(0.0))
-    ray.d = mi.Vector3f(np.ascontiguousarray(np.tile(along, (len(place), 1)).T, np.float32))
-    ray.maxt = mi.Float(np.repeat(2.0 * reach.ravel(), len(along)).astype(np.float32))
+    start = (place[:, None] - reach * along).reshape(-1, 3)
+    numbers = np.column_stack([start, np.tile(along, (len(place), 1)), np.repeat(2.0 * reach.ravel(), len(along))])
+    x, y, z, dx, dy, dz, most = (copied_to_device(mi.Float, column) for column in numbers.astype(np.float32).T)
+    ray = mi.Ray3f(mi.Point3f(x, y, z), mi.Vector3f(dx, dy, dz), most, 0.0, mi.Color0f())
     hit = scene.ray_intersect_preliminary(ray)
     met, instance = (dr.reinterpret_array(mi.UInt32, s) for s in (hit.shape, hit.instance))
     met = dr.select(met == 0, instance, met)  # the shape within an instance is not known
@@ -75,16 +75,18 @@ def _points(lamp: mi.Emitter) -> Array | None:
     if shape is None:
         return None
     u, v = np.random.default_rng(0).random((2, _POINTS))
-    if plugin_name(shape) == "disk":
-        place = as_array(dict(contents(shape).values)["to_world"]).astype(np.float64).reshape(4, 4)
+    kind, values = plugin_name(shape), dict(contents(shape).values)
+    if kind in ("disk", "rectangle"):
+        place = as_array(values["to_world"]).astype(np.float64).reshape(4, 4)
         radius, turn = np.sqrt(u), 2.0 * np.pi * v
-        disc: Array = np.stack([radius * np.cos(turn), radius * np.sin(turn)], -1) @ place[:3, :2].T + place[:3, 3]
-        return disc
-    if not shape.is_mesh():
+        own = [radius * np.cos(turn), radius * np.sin(turn)] if kind == "disk" else [2.0 * u - 1.0, 2.0 * v - 1.0]
+        flat: Array = np.stack(own, -1) @ place[:3, :2].T + place[:3, 3]
+        return flat
+    if "faces" not in values:
         return None
-    faces = np.asarray(shape.faces_buffer()).reshape(-1, 3)
+    faces = as_array(values["faces"]).reshape(-1, 3)
     faces = faces[np.arange(_POINTS) * len(faces) // _POINTS]
-    corners = np.asarray(shape.vertex_positions_buffer()).reshape(-1, 3)[faces].astype(np.float64)
+    corners = as_array(values["vertex_positions"]).reshape(-1, 3)[faces].astype(np.float64)
     weights = np.stack([1.0 - np.sqrt(u), np.sqrt(u) * (1.0 - v), np.sqrt(u) * v], -1)
     result: Array = np.einsum("pk,pkc->pc", weights, corners)
     return result

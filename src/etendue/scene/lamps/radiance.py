@@ -54,7 +54,8 @@ def varies(emitter: mi.Emitter) -> bool:
 def is_smooth(emitter: mi.Emitter) -> bool:
     """Whether an area light is a mesh with vertex normals."""
     shape = emitter.get_shape()
-    return bool(shape is not None and shape.is_mesh() and shape.has_vertex_normals())
+    normals = None if shape is None else dict(contents(shape).values).get("vertex_normals")
+    return normals is not None and len(normals) > 0
 
 
 def has_cells(emitter: mi.Emitter) -> bool:
