@@ -149,12 +149,12 @@ def test_what_a_number_has_left():
     """One number picks a light and is uniform again, whatever the light."""
     lights = LightTable(scenes.room("two", ("diffuse",)).scene)
     u = mi.Float((np.arange(1 << 16) + 0.5) / (1 << 16))
-    left, pick = np.array(lights.left_by_pick(u)), np.array(lights.pick(u).pick)
+    left, row = np.array(lights.left_by_pick(u)), np.array(lights.pick(u).row)
     assert (left >= 0).all()
     assert (left < 1).all()
-    assert len(set(pick)) == 2
-    for share in set(pick):
-        counts = np.histogram(left[pick == share], 16, (0, 1))[0]
+    assert len(set(row)) == 2
+    for light in set(row):
+        counts = np.histogram(left[row == light], 16, (0, 1))[0]
         np.testing.assert_allclose(counts, counts.mean(), rtol=0.02)
 
 
