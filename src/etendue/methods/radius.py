@@ -30,9 +30,9 @@ UNIT_DOC = (
 RADIUS_DOC = "0: by the width of a pixel at the distance of the surface from the camera (1.5 of them in 256x256 pixels)"
 #: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
-#: Most photons of a pass in a disc, in the mean over the pixels. Tuned on ``cornell-glass``, where merging mostly takes
-#: time, and ``water-caustic``, where it finds most of the light.
-_MOST_PHOTONS = 16.0
+#: Most photons of a pass in a disc, in the mean over the pixels. Tuned on ``cornell-glass`` and ``veach-bidir``, where
+#: merging mostly takes time, and on ``caustics`` and ``water-caustic``, where it finds most of the light.
+_MOST_PHOTONS = 6.0
 #: More edges than any light path has.
 _ANY_DEPTH = (1 << 16) - 1
 #: Share of the pixels that may see something nearer than the distance below which the radius is constant.
