@@ -318,3 +318,24 @@ def test_a_bug_costs_no_line(monkeypatch):
         OutputError, match=r"the lines could not be evaluated: MemoryError; the lines are kept: resume='c'"
     ):
         etendue.solve_radiosity(cube(2, **LIT), bundles=8, checkpoint="c")
+
+
+def test_a_model_whose_materials_emit_is_a_scene(tmp_path):
+    """OBJ with MTL: reflectance of Kd, emission pi Ke; with values of faces it is a mesh, as without a lamp."""
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    sides = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+    text = "mtllib box.mtl\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+    for number, side in enumerate(sides):
+        text += f"usemtl {'lamp' if number == 1 else 'wall'}\nf " + " ".join(map(str, side)) + "\n"
+    (tmp_path / "box.obj").write_text(text)
+    (tmp_path / "box.mtl").write_text("newmtl wall\nKd 0.5 0.5 0.5\nKs 0 0 0\nnewmtl lamp\nKd 0 0 0\nKs 0 0 0\nKe 2 2 2\n")
+    result = etendue.solve_radiosity(str(tmp_path / "box.obj"), bundles=64)
+    patches = result.patches
+    inside = patches.areas > 0
+    assert set(np.round(patches.reflectance[inside].ravel(), 6)) == {0.0, 0.5}
+    assert patches.emission.max() == pytest.approx(2 * np.pi)
+    assert result.is_balanced
+    given = RadiosityRequest(source=str(tmp_path / "box.obj"), mesh={"emission": 1.0})
+    assert given.is_mesh
+    (tmp_path / "box.mtl").write_text("newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\nKe 0.000 0 0\n")
+    assert RadiosityRequest(source=str(tmp_path / "box.obj")).is_mesh

@@ -216,10 +216,11 @@ def test_materials_of_gltf(tmp_path):
 def test_a_model_without_camera_and_light(tmp_path, caplog):
     problem = load(obj(tmp_path, ("floor",)), size=SIZE)
     assert "no camera" in caplog.text and "no light" in caplog.text
-    picture = run(problem, "path", passes=1, samples=16).mean
+    picture = run(problem, "path", passes=4, samples=512).mean
     sun = 2.0 / np.pi / np.sqrt(1.0 + 0.8**2 + 0.5**2)
     floor = np.array([0.6, 0.4, 0.2]) * (0.5 + sun)
-    assert picture[SIZE[1] // 2, SIZE[0] // 2] == pytest.approx(floor, rel=0.01)
+    # One of two lights is picked by each of 2,048 samples: relative standard error 0.02, or less if stratified.
+    assert picture[SIZE[1] // 2, SIZE[0] // 2] == pytest.approx(floor, rel=0.04)
     assert picture[0, 0] == pytest.approx(0.5)
 
 

@@ -35,7 +35,7 @@ from etendue.radiosity import (
     sub_scenes,
     sub_scenes_of,
 )
-from etendue.scene import Problem
+from etendue.scene import Problem, emits
 
 from .files import PathLike, listed
 from .hierarchies import GROUPINGS, HIERARCHY_OPTIONS, HierarchyOptions, check_array, objects_by
@@ -134,6 +134,13 @@ class RadiosityRequest(LinesRequest):
     work: ClassVar[str] = "radiosity"
     #: Whether the work groups objects to boxes in any case.
     is_grouping: ClassVar[bool] = False
+
+    @property
+    def is_mesh(self) -> bool:
+        """See :class:`LinesRequest`. A model whose materials emit is a scene, unless values of its faces are given."""
+        if not super().is_mesh:
+            return False
+        return any(value not in (None, False) for value in self.mesh.values()) or not emits(Path(str(self.source)))
 
     @property
     def is_watched(self) -> bool:

@@ -25,6 +25,7 @@ from .lamps.rays import own_ray
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, described, integrator_of, load, locate
 from .members import Material, Members, bsdfs, emitters
+from .models.reading import emits
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
@@ -62,6 +63,7 @@ __all__ = [
     "composed_bsdf",
     "described",
     "described_lights",
+    "emits",
     "emitters",
     "fingerprint",
     "front",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -28,6 +29,22 @@ _SUN = np.array([-0.8, 1.0, 0.5])
 def is_model(source: Any) -> TypeGuard[Path]:
     """Whether a scene is a model file, by its suffix."""
     return isinstance(source, Path) and source.suffix.lower() in SUFFIXES
+
+
+def emits(path: Path) -> bool:
+    """Whether an OBJ or glTF file has a material that emits light."""
+    kind = path.suffix.lower()
+    if kind in _GLTF and path.is_file():
+        return any(max(m.get("emissiveFactor", [0.0])) > 0.0 for m in punctual.description(path).get("materials", []))
+    return kind == ".obj" and any(any(numbers) for numbers in _emitted(path))
+
+
+def _emitted(path: Path) -> Iterator[list[float]]:
+    """The numbers of the statements ``Ke`` of an OBJ file's materials."""
+    libraries = [path.with_name(name) for _, name in _statements(path, "mtllib")]
+    for _, words in (line for file in libraries for line in _statements(file, "ke")):
+        with suppress(ValueError):
+            yield [float(word) for word in words.split()]
 
 
 def model(path: Path) -> BundledScene:
@@ -85,9 +102,9 @@ def _check_files(path: Path, used: set[str]) -> None:
     ignores it."""
     if path.suffix.lower() != ".obj":
         return
-    libraries = [path.with_name(name) for key, name in _statements(path) if key == "mtllib"]
+    libraries = [path.with_name(name) for _, name in _statements(path, "mtllib")]
     named, material = list(libraries), ""
-    for key, name in (line for file in libraries if file.is_file() for line in _statements(file)):
+    for key, name in (line for file in libraries for line in _statements(file, "newmtl", "map_kd")):
         if key == "newmtl":
             material = name
         elif key == "map_kd" and material in used:
@@ -97,13 +114,15 @@ def _check_files(path: Path, used: set[str]) -> None:
             raise SceneError(f"{path} names {file.name}, which is not in its folder; put it there, or remove its line")
 
 
-def _statements(path: Path) -> Iterator[tuple[str, str]]:
-    """Key and argument of the lines of an OBJ or MTL file that name something."""
+def _statements(path: Path, *keys: str) -> Iterator[tuple[str, str]]:
+    """Key and arguments of the lines of an OBJ or MTL file with one of ``keys``."""
+    if not path.is_file():
+        return
     with path.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:
-            key, _, name = line.strip().partition(" ")
-            if key.lower() in ("mtllib", "newmtl", "map_kd"):
-                yield key.lower(), name.strip()
+            key, *rest = line.split(maxsplit=1)[:2] or [""]
+            if key.lower() in keys and rest:
+                yield key.lower(), rest[0].strip()
 
 
 def _mesh(
