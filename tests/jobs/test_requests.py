@@ -328,7 +328,9 @@ def test_a_model_whose_materials_emit_is_a_scene(tmp_path):
     for number, side in enumerate(sides):
         text += f"usemtl {'lamp' if number == 1 else 'wall'}\nf " + " ".join(map(str, side)) + "\n"
     (tmp_path / "box.obj").write_text(text)
-    (tmp_path / "box.mtl").write_text("newmtl wall\nKd 0.5 0.5 0.5\nKs 0 0 0\nnewmtl lamp\nKd 0 0 0\nKs 0 0 0\nKe 2 2 2\n")
+    (tmp_path / "box.mtl").write_text(
+        "newmtl wall\nKd 0.5 0.5 0.5\nKs 0 0 0\nnewmtl lamp\nKd 0 0 0\nKs 0 0 0\nKe 2 2 2\n"
+    )
     result = etendue.solve_radiosity(str(tmp_path / "box.obj"), bundles=64)
     patches = result.patches
     inside = patches.areas > 0

@@ -21,6 +21,7 @@ from etendue.transport import (
     BlindEmission,
     CameraSampler,
     CellEmission,
+    EmittedRay,
     ImportancePilot,
     StratifiedSource,
     UniformLights,
@@ -96,7 +97,8 @@ def test_cells_of_a_density_are_drawn_as_often_as_it_says():
 
 
 def test_importance_saves_variance_where_most_light_goes_elsewhere():
-    """A lamp lights a table that the camera sees, a brighter one the room behind it: 32 seeds of either emission."""
+    """A lamp lights a table that the camera sees, a brighter one the room behind it: 32 seeds of emission by importance
+    and by power alone, where the dim lamp has no least share."""
     grey = scenes.diffuse(0.5, 0.5, 0.5)
     dark = {"type": "rectangle", "to_world": scenes.transform().translate([0, 1, -1]).scale(3), "bsdf": grey}
     problem = load(
@@ -112,7 +114,11 @@ def test_importance_saves_variance_where_most_light_goes_elsewhere():
     )
     floor = [shape.id() for shape in problem.scene.shapes()].index("floor")
     means, errors = [], []
-    for emission in (emit, pilot(problem)):
+
+    def by_power(lights: LightTable, *numbers: Any) -> EmittedRay:
+        return emit(lights.picked_by(lights.powers, lights.powers), *numbers)
+
+    for emission in (by_power, pilot(problem)):
         sums = []
         for seed in range(32):
             shape, colour, _ = independent(problem, 1 << 12, seed, LONGEST, emission=emission)
