@@ -203,7 +203,8 @@ def test_the_radius_of_parallel_and_of_spherical_rays():
     assert noted["scene_units"] == pytest.approx(radius_at(method, 0, 0, 0), rel=1e-3)
     around = prepared(still_life(200.0, sensor=scenes.camera(sensor="spherical", **size)), "vcm")
     pixel = np.sqrt(2.0 * np.pi**2 / (32 * 16))  # wide at the equator and at distance 1
-    assert 0.5 * pixel < radius_at(around, 0, 0, 0) / np.linalg.norm([0.2, 1.0, 1.0]) < 2.0 * pixel
+    expected = 1.5 * (32 * 16 / 256**2) ** (1 / 4) * pixel
+    assert 0.5 * expected < radius_at(around, 0, 0, 0) / np.linalg.norm([0.2, 1.0, 1.0]) < 2.0 * expected
 
 
 @pytest.mark.parametrize("name", ["vcm", "sppm", "pm", "auto", "vegas"])

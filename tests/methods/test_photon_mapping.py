@@ -60,7 +60,7 @@ def test_nearly_smooth_materials_lose_no_light(method, name):
     """A ball inside a lamp that reflects half of its own light: twice the lamp's radiance in every direction. No photon
     arrives in the peak of the ball's material."""
     ball = {"type": "sphere", "center": [-0.3, 0.25, -0.2], "radius": 0.25, "bsdf": PEAKS[name]}
-    settings = {"photons": PHOTONS} if method == "pm" else {}
+    settings = {"photons": PHOTONS} if method == "pm" else {"radius": 1.4, "radius_unit": "pixel"}
     made = run(scenes.furnace("sphere", 1.0, 0.5, ball=ball), method, passes=6, samples=32, **settings)
     means = made.images.mean(axis=(1, 2, 3))
     assert means.std(ddof=1) < 0.02 * means.mean()
