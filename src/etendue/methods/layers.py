@@ -19,6 +19,8 @@ V = TypeVar("V")
 Layer = NDArray[np.float32]
 #: Layers that are parts of the picture, by component or by family of techniques.
 _PARTS = {*COMPONENTS, "next_event", "connection", "merge", "splat"}
+#: Fewer passes hardly tell a rare find from a highlight that few samples of a pixel meet.
+_LEAST_PASSES = 4
 #: Relative change from which on a pixel counts as changed in the metadata.
 _CHANGED = 0.1
 
@@ -40,11 +42,11 @@ def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
 def reweighted(
     layers: dict[str, Layer], measurement: Measurement, reach: int
 ) -> tuple[dict[str, Layer], dict[str, Any]]:
-    """(``layers`` of a picture with fireflies reduced in the picture and its parts; facts for the metadata). After a
-    single pass, which has no variance, nothing is reduced. ``reach``: see :func:`without_fireflies`."""
+    """(``layers`` of a picture with fireflies reduced in the picture and its parts; facts for the metadata). After
+    few passes, whose variance says little, nothing is reduced. ``reach``: see :func:`without_fireflies`."""
     whole = layers["image"]
     changed = dict(layers)
-    if len(measurement.iterations) > 1:
+    if len(measurement.iterations) >= _LEAST_PASSES:
         parts = {name: layer for name, layer in layers.items() if name in _PARTS} or {"image": whole}
         parts = without_fireflies(parts, measurement.variance_of_mean(), reach)
         changed |= parts | {"image": functools.reduce(np.add, parts.values())}
