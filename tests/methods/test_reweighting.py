@@ -90,9 +90,11 @@ def test_a_resumed_run_and_its_plain_picture(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_demonstration_has_no_fireflies(seed):
-    """A lamp seen through chains of mirrors and glass: relMSE was 77 and 0.066 without, 0.020 and 0.021 with it."""
+    """A lamp seen through chains of mirrors and glass: without it, relMSE was 77 and 0.066. Most of what is left is the
+    noise of merging, so the radius is fixed."""
     bundled = scene.bundled_scene("caustics")
-    made = api.render("caustics", "vcm", samples=27, seed=seed, samples_per_pass=1, reweight=True)
+    merging = {"radius": 2.5, "radius_unit": "pixel"}
+    made = api.render("caustics", "vcm", samples=27, seed=seed, samples_per_pass=1, reweight=True, **merging)
     assert relative_mse(made.image, read_image(bundled.reference)) < 0.03
 
 
