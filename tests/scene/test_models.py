@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import struct
 from collections import defaultdict
 
 import mitsuba as mi
@@ -239,6 +240,50 @@ def test_files_that_are_missing(tmp_path):
     (tmp_path / "room.mtl").unlink()
     with pytest.raises(SceneError, match=r"names room\.mtl"):
         load(path)
+
+
+def textured(folder, name="picture.png", **texture):
+    """A file of one material with a picture, with texture coordinates of zero."""
+    texture = {"index": 0} | texture
+    described = {"pbrMetallicRoughness": {"baseColorTexture": texture, "metallicFactor": 0.0}}
+    return gltf(folder, [{"mesh": 0}], [described], textures=[{"source": 0}], images=[{"uri": name}])
+
+
+def test_pictures_of_gltf_that_are_missing_or_broken(tmp_path):
+    path = textured(tmp_path)
+    with pytest.raises(SceneError, match=r"names picture\.png, which is missing or broken"):
+        load(path)
+    Image.fromarray(np.repeat(PICTURE, 50, 0)).save(tmp_path / "picture.png")
+    load(path, size=SIZE)
+    (tmp_path / "picture.png").write_bytes((tmp_path / "picture.png").read_bytes()[:45])
+    with pytest.raises(SceneError, match="missing or broken"):
+        load(path)
+
+
+def test_what_is_not_read_of_gltf(tmp_path, caplog):
+    Image.fromarray(PICTURE).save(tmp_path / "picture.png")
+    load(textured(tmp_path, texCoord=1), size=SIZE)
+    assert "second set of coordinates" in caplog.text
+    with pytest.raises(SceneError, match="requires KHR_mesh_quantization"):
+        load(gltf(tmp_path, [{"mesh": 0}], extensionsRequired=["KHR_mesh_quantization"]))
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_materials_of_gltf_without_names(tmp_path, binary):
+    """Each has its own factors, which are taken from the file in full precision."""
+    surfaces = [{"pbrMetallicRoughness": {"roughnessFactor": r, "metallicFactor": 0.25}} for r in (0.3, 0.7)]
+    path = gltf(tmp_path, [{"children": [1, 2]}, {"mesh": 0, "name": "a"}, {"mesh": 1, "name": "b"}], surfaces)
+    if binary:
+        file = json.loads(path.read_text())
+        data = base64.b64decode(file["buffers"][0].pop("uri").split(",")[1])
+        text = json.dumps(file).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+        path = tmp_path / "room.glb"
+        path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    problem = load(path, size=SIZE)
+    for name, roughness in (("a-", 0.3), ("b-", 0.7)):
+        assert roughness in [round(value, 5) for value in material(problem, name)["uniformspectrum.value"]]
 
 
 @pytest.mark.parametrize(

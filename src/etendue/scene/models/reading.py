@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -14,7 +14,7 @@ from etendue.core import SceneError, library, logger
 
 from ..builtin.table import BundledScene
 from ..meshes import MeshDescription
-from . import materials, punctual
+from . import gltf, materials
 
 #: Suffixes of model files.
 SUFFIXES = (".obj", ".gltf", ".glb", ".ply", ".stl", ".off")
@@ -35,7 +35,7 @@ def emits(path: Path) -> bool:
     """Whether an OBJ or glTF file has a material that emits light."""
     kind = path.suffix.lower()
     if kind in _GLTF and path.is_file():
-        return any(max(m.get("emissiveFactor", [0.0])) > 0.0 for m in punctual.description(path).get("materials", []))
+        return any(max(m.get("emissiveFactor", [0.0])) > 0.0 for m in gltf.description(path).get("materials", []))
     return kind == ".obj" and any(any(numbers) for numbers in _emitted(path))
 
 
@@ -59,15 +59,23 @@ def _described(path: Path) -> dict[str, Any]:
     Raises :class:`SceneError` for a file that cannot be read or has no faces.
     """
     trimesh = library("trimesh", f"reading {path}", "models")
+    found = gltf.description(path) if path.suffix.lower() in _GLTF else {}
+    gltf.check_extensions(path, found)
     try:
-        loaded = trimesh.load_scene(path, process=False)
+        if found:
+            around = trimesh.resolvers.FilePathResolver(str(path))
+            loaded = trimesh.load_scene(gltf.numbered(path, found), path.suffix[1:].lower(), around, process=False)
+        else:
+            loaded = trimesh.load_scene(path, process=False)
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise SceneError(f"{path} cannot be read as a model: {text}; export it again") from error
     surfaces: list[Any] = [getattr(mesh, "visual", None) for mesh in loaded.geometry.values()]
-    _check_files(path, {str(visual.material.name) for visual in surfaces if hasattr(visual, "material")})
-    found = punctual.description(path) if path.suffix.lower() in _GLTF else {}
-    raw = {str(m.get("name")): m for m in found.get("materials", [])}
+    used = {str(visual.material.name): visual.material for visual in surfaces if hasattr(visual, "material")}
+    _check_files(path, used)
+    raw = {str(number): material for number, material in enumerate(found.get("materials", []))}
+    for name in used.keys() & raw.keys():
+        gltf.check_pictures(path, found, raw[name], used[name])
     scene: dict[str, Any] = {"type": "scene"}
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for number, node in enumerate(loaded.graph.nodes_geometry):
@@ -82,13 +90,13 @@ def _described(path: Path) -> dict[str, Any]:
         low, high = np.minimum(low, described.points.min(0)), np.maximum(high, described.points.max(0))
     if len(scene) == 1:
         raise SceneError(f"{path} has no faces, so there is nothing to render; export its surfaces")
-    for number, light in enumerate(punctual.lights(found)):
+    for number, light in enumerate(gltf.lights(found)):
         scene[f"light-{number}"] = light
     if not any("light-" in name or getattr(item, "emitter", None) for name, item in scene.items()):
         logger.warning(f"{path} has no light: a white sky and a sun above its left light it")
         scene["sky"] = {"type": "constant", "radiance": 0.5}
         scene["sun"] = {"type": "directional", "irradiance": 2.0, "direction": (-_turned(_SUN, path)).tolist()}
-    sensors = list(punctual.cameras(found))
+    sensors = list(gltf.cameras(found))
     if not sensors:
         logger.warning(f"{path} has no camera: it is seen from above its front")
         sensors = [_seen_whole(low, high, path)]
@@ -97,7 +105,7 @@ def _described(path: Path) -> dict[str, Any]:
     return scene
 
 
-def _check_files(path: Path, used: set[str]) -> None:
+def _check_files(path: Path, used: Collection[str]) -> None:
     """Raise :class:`SceneError` if an OBJ file or one of the ``used`` materials names a file that is not there: trimesh
     ignores it."""
     if path.suffix.lower() != ".obj":

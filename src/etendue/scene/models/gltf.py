@@ -1,17 +1,18 @@
-"""Cameras and punctual lights of glTF files, which trimesh does not read."""
+"""What trimesh does not read of glTF files: cameras, punctual lights, factors of materials; and what it ignores."""
 
 from __future__ import annotations
 
 import json
 import struct
 from collections.abc import Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import SceneError
+from etendue.core import SceneError, logger
 
 from .materials import rgb
 
@@ -19,6 +20,15 @@ Dict = dict[str, Any]
 Matrix = NDArray[np.float64]
 
 _LIGHTS = "KHR_lights_punctual"
+#: Extensions that a file may require.
+_READ = {
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_transmission",
+    _LIGHTS,
+}
 #: A camera of glTF looks along -z, with y up; one of Mitsuba along z, with x to the left. So do lights.
 _TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 
@@ -36,6 +46,57 @@ def description(path: Path) -> Dict:
     if not isinstance(found, dict):
         raise SceneError(f"{path} cannot be read as glTF: it has no description; export it again")
     return found
+
+
+def numbered(path: Path, found: Mapping[str, Any]) -> BytesIO:
+    """A file whose materials have their numbers as names: the file's own may be missing or equal."""
+    materials = [{**material, "name": str(number)} for number, material in enumerate(found.get("materials", []))]
+    text = json.dumps({**found, "materials": materials}).encode()
+    data = path.read_bytes()
+    if data[:4] != b"glTF":
+        return BytesIO(text)
+    (length,) = struct.unpack("<I", data[12:16])
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    return BytesIO(data[:8] + struct.pack("<II", 20 + len(text) + len(rest), len(text)) + data[16:20] + text + rest)
+
+
+def check_extensions(path: Path, found: Mapping[str, Any]) -> None:
+    """Raise :class:`SceneError` if a file requires an extension that is not read."""
+    unread = sorted(set(found.get("extensionsRequired", [])) - _READ)
+    if unread:
+        raise SceneError(f"{path} requires {', '.join(unread)}, which is not read; export it without")
+
+
+def check_pictures(path: Path, found: Mapping[str, Any], raw: Mapping[str, Any], material: Any) -> None:
+    """Raise :class:`SceneError` if a picture of a material is missing or broken, which trimesh ignores; warn if it has
+    other texture coordinates than those that are read. ``raw``: the material in the file; ``material``: trimesh's."""
+    for key, texture in {**raw.get("pbrMetallicRoughness", {}), **raw}.items():
+        if not key.endswith("Texture") or key == "occlusionTexture":
+            continue
+        picture = getattr(material, key, None)
+        try:
+            picture.load()
+        except (AttributeError, OSError):
+            name = _picture(found, texture)
+            raise SceneError(f"{path} names {name}, which is missing or broken; put it there, or export again") from None
+        if texture.get("texCoord", 0) or "KHR_texture_transform" in texture.get("extensions", {}):
+            name = raw.get("name", "without a name")
+            logger.warning(
+                f"{path}: material '{name}' places its {key} by a second set of coordinates or a transform, "
+                "which is not read; export it with one set"
+            )
+
+
+def _picture(found: Mapping[str, Any], texture: Mapping[str, Any]) -> str:
+    """What a file calls the picture of a texture."""
+    try:
+        source = found["textures"][texture["index"]]
+        number = source.get("source", source.get("extensions", {}).get("EXT_texture_webp", {}).get("source"))
+        uri = str(found["images"][number].get("uri", "data:"))
+        return f"picture {number}" if uri.startswith("data:") else uri
+    except (LookupError, TypeError):
+        return f"texture {texture.get('index')}"
 
 
 def cameras(found: Mapping[str, Any]) -> Iterator[Dict]:
