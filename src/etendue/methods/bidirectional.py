@@ -72,6 +72,8 @@ class Bidirectional(Carrying, ImageMethod):
     moments: Moments | None = None
     #: Points of the light paths' sequence that a pass takes, if more than its light paths.
     light_stride = 0
+    #: Factor on the merge radius of the next pass.
+    widening = 1.0
     _learning: LearnedEmission | None = None
     _choosing: LearnedConnections | None = None
     _searched: Gather | None = None  #: the light vertices of the pilot
@@ -221,7 +223,7 @@ class Bidirectional(Carrying, ImageMethod):
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        radius = self.radius(iteration) if self.techniques.merge else 0.0
+        radius = self.widening * self.radius(iteration) if self.techniques.merge else 0.0
         if self._learning:
             # As many light vertices in a disc as without learning: more take time, and a smaller disc blurs less.
             radius /= math.sqrt(self._learning.guide.crowding)

@@ -87,9 +87,9 @@ class Learned:
         n = self.passes
         picture, squares = self.picture.astype(np.float64), self.squares.astype(np.float64)
         moments, means = np.moveaxis(self.tiles.astype(np.float64) / n, 2, 0)
-        level = _tiled(picture / n)
+        level = tiled(picture / n)
         # Mean of the squared means of the pixels, from products of different passes.
-        square = _tiled((np.square(picture) - squares) / (n * (n - 1))) if n > 1 else np.square(level)
+        square = tiled((np.square(picture) - squares) / (n * (n - 1))) if n > 1 else np.square(level)
         share = np.clip(means / np.maximum(level, 1e-12)[..., None], 0.0, 1.0)
         variance = moments - np.square(share) * square[..., None]
         errors = variance / (np.square(level) + RELATIVE_EPSILON)[..., None]
@@ -117,7 +117,7 @@ class Learned:
         return cls(int(state["passes"]), work=work, generation=int(state.get("generation", 0)), **arrays)
 
 
-def _tiled(image: NDArray[np.float64]) -> NDArray[np.float64]:
+def tiled(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means over tiles; those at the border are smaller."""
     height, width = image.shape
     rows, columns = np.arange(0, height, TILE), np.arange(0, width, TILE)

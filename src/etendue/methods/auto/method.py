@@ -5,6 +5,9 @@ The first passes have many techniques, and estimate what the second moment of th
 (:mod:`.efficiency`) render the following passes. Without light paths a pass is one of ``path``. Estimates and decision
 are repeated during the run, at a bounded share of its cost, because light that is found late changes them.
 
+If passes merge, some take turns with a larger radius, and the radius of the following ones is that of the least error
+(:mod:`.widening`).
+
 All passes are part of the picture, with equal weights: each is an estimate of the picture, whatever earlier passes have
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
@@ -20,6 +23,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -36,7 +40,8 @@ from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
 from ..bidirectional import Vcm
 from ..bidirectional_settings import BidirectionalSettings
 from ..path import Path, path_pass, traced
-from .efficiency import LEARNING, Learned, Work, tile_pixels
+from .efficiency import LEARNING, PHOTON, Learned, Work, tile_pixels
+from .widening import Trial
 
 #: Counts of the passes that estimate moments.
 LEARNER = Candidate(1.0, 2, True)
@@ -123,6 +128,7 @@ class Auto(Carrying, ImageMethod):
         self._vcm_state: State = {}
         self._counts = FIXED.get(self.settings.choice, LEARNER)
         self._learned = Learned.none()
+        self._trial = Trial.none()
         self._products: dict[str, float] = {}
         self._spent = self._spent_learning = 0.0
         self.setup_seconds = 0.0  #: of preparation and compilation within the first pass, for predictions of times
@@ -152,6 +158,8 @@ class Auto(Carrying, ImageMethod):
         learning = self._learns and self._is_due()
         if learning:
             rendered = self._learn(iteration, seed, samples)
+        elif self._counts.merging and self._learned.passes and not self.settings.radius:
+            rendered = self._widened(iteration, seed, samples)
         else:
             rendered = self._rendered(self._counts, iteration, seed, samples)
         cost = self._work().cost(LEARNER) * LEARNING if learning else self._work().cost(self._counts)
@@ -224,14 +232,35 @@ class Auto(Carrying, ImageMethod):
         """Path length from which on Russian roulette may end a path, in passes whose counts are not fixed."""
         return min(self.settings.rr_depth, BidirectionalSettings.rr_depth)
 
+    def _widened(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """A pass that merges, with the radius or a larger one."""
+        work, counts = self._work(), self._counts
+        if self._trial.begins:
+            self._trial = self._trial.begun(counts.light_paths * work.photons / max(work.smooth, 1e-9))
+        layers, counters = self._rendered(counts, iteration, seed, samples, self._trial.next)
+        if self._trial.runs:
+            merging = PHOTON * counts.light_paths * work.photons
+            self._trial = self._trial.after(
+                self._picture(layers, samples), np.array([work.cost(counts) - merging, merging])
+            )
+            if not self._trial.runs:
+                logger.info("auto: the merge radius is multiplied by %.3g", self._trial.factor)
+        return layers, counters
+
+    def _picture(self, layers: Mapping[str, Layer], samples: int) -> np.ndarray:
+        """The picture of a pass, (height, width), means over the channels."""
+        parts = [layers[name] for name in (COMPONENTS if self.settings.components else ("image",))]
+        return np.asarray(np.sum(parts, axis=0).mean(axis=2, dtype=np.float64) / samples)
+
     def _rendered(
-        self, counts: Candidate, iteration: int, seed: int, samples: int
+        self, counts: Candidate, iteration: int, seed: int, samples: int, widening: float = 0.0
     ) -> tuple[dict[str, Layer], dict[str, float]]:
-        """A pass with given counts."""
+        """A pass with given counts; ``widening``: factor on the radius, 0 for that of the trial."""
         if counts.light_paths == 0.0:
             return self._path(iteration, seed, samples)
         vcm = self._estimator()
         vcm.use(counts)
+        vcm.widening = widening or self._trial.factor
         vcm._hits = self._hits
         return vcm.render_pass(iteration, seed, samples)
 
@@ -272,8 +301,7 @@ class Auto(Carrying, ImageMethod):
             tiles = vcm.moments.tiles() / (tile_pixels(height, width) * samples)[..., None, None]
         finally:
             vcm.moments = None
-        parts = [layers[name] for name in (COMPONENTS if self.settings.components else ("image",))]
-        picture = np.sum(parts, axis=0).mean(axis=2, dtype=np.float64) / samples
+        picture = self._picture(layers, samples)
         if np.isfinite(tiles).all() and np.isfinite(picture).all():
             self._learned = self._learned.after(tiles, picture, work, generation)
         self._decide()
@@ -318,7 +346,10 @@ class Auto(Carrying, ImageMethod):
         """Mean over the passes; the metadata contain the counts of the next pass, and the products of error and cost
         of the best candidates, relative to the least."""
         result = super().develop(measurement, state)
-        facts = self._vcm.notes if self._vcm else {}
+        facts = dict(self._vcm.notes) if self._vcm else {}
+        if "merge_radius" in facts:
+            factor = Trial.of(state["widening"]).factor
+            facts["merge_radius"] = {name: float(f"{r * factor:.4g}") for name, r in facts["merge_radius"].items()}
         result.metadata |= facts | {
             "chosen": describe(Candidate(*state["counts"])),
             "products": dict(state["products"]),
@@ -331,6 +362,7 @@ class Auto(Carrying, ImageMethod):
         return {
             "counts": [counts.light_paths, counts.connections, counts.merging],
             "learned": self._learned.state(),
+            "widening": self._trial.state(),
             "products": self._products,
             "spent": [self._spent, self._spent_learning],
             "vcm": self._vcm.left() if self._vcm else self._vcm_state,
@@ -339,14 +371,14 @@ class Auto(Carrying, ImageMethod):
     def _take(self, state: State) -> None:
         try:
             paths, connections, merging = state["counts"]
-            learned = Learned.of(state["learned"])
+            learned, trial = Learned.of(state["learned"]), Trial.of(state["widening"])
         except (KeyError, TypeError, ValueError):
             raise CheckpointError("the checkpoint is of another version of auto; start a new run") from None
         height, width = self.problem.size[::-1]
         if learned.passes and learned.picture.shape != (height, width):
             raise CheckpointError("what auto has learned is of another picture; start a new run")
         self._counts = Candidate(float(paths), int(connections), bool(merging))
-        self._learned, self._products = learned, dict(state["products"])
+        self._learned, self._trial, self._products = learned, trial, dict(state["products"])
         self._spent, self._spent_learning = (float(value) for value in state["spent"])
         self._vcm_state = state["vcm"]
         if self._vcm:
