@@ -1,4 +1,4 @@
-"""The trial of a larger merge radius: what it decides for pictures of known noise and bias, and that runs resume in it."""
+"""The trial of a larger merge radius: what it decides for known noise and bias, and runs that resume within it."""
 
 import numpy as np
 import pytest
