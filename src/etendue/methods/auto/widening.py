@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import RELATIVE_EPSILON, State
+from etendue.transport import TILE
 
 from .efficiency import tiled
 
@@ -89,7 +90,9 @@ class Trial:
     def _variances(self) -> NDArray[np.float64]:
         """Mean relative variances of passes with either radius."""
         pixels = self.pixels.astype(np.float64)
-        scale = np.square(pixels.mean(0)) + RELATIVE_EPSILON
+        # By the brightness of tiles: that of a pixel with a rare bright path would hide its noise.
+        level = self.tiles.mean(0, dtype=np.float64).repeat(TILE // 2, 0).repeat(TILE // 2, 1)
+        scale = np.square(level[: pixels.shape[1], : pixels.shape[2]]) + RELATIVE_EPSILON
         both = np.array([pixels[k::2].var(axis=0, ddof=1) / scale for k in range(2)])
         return np.minimum(both, np.quantile(both[0], 1.0 - _BRIGHT)).mean(axis=(1, 2))
 
