@@ -74,7 +74,7 @@ def check_pictures(path: Path, found: Mapping[str, Any], raw: Mapping[str, Any],
     for key, texture in {**raw.get("pbrMetallicRoughness", {}), **raw}.items():
         if not key.endswith("Texture") or key == "occlusionTexture":
             continue
-        picture = getattr(material, key, None)
+        picture: Any = getattr(material, key, None)
         try:
             picture.load()
         except (AttributeError, OSError):
