@@ -11,6 +11,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import FAST_SCENES, thinned
 
 import etendue
 from etendue import methods
@@ -224,7 +225,7 @@ def _parameters(problem: Problem) -> dict[str, Any]:
     return {key: np.asarray(value, float).ravel() for key, value in found.items() if value is not None}
 
 
-@pytest.mark.parametrize("name", list(bundled()))
+@pytest.mark.parametrize("name", thinned(bundled(), FAST_SCENES))
 def test_bundled_scenes_as_xml(name: str, tmp_path: Path) -> None:
     """Meshes and bitmaps in memory become files; nothing is lost but the last digits."""
     (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
