@@ -24,7 +24,7 @@ def main(arguments: list[str]) -> None:
     pictures = []
     for name, *_ in SCENES:
         image = etendue.render(name, "auto", seconds=seconds, size=SIZE).image
-        pictures.append(display.tonemap(image, "auto", "agx"))
+        pictures.append(display.tonemap(image, "auto"))
         print(name)
     blank = np.full_like(pictures[0], 255)
     pictures += [blank] * (-len(pictures) % ACROSS)
