@@ -11,8 +11,8 @@ from ..solids import GAP, Model, about, ball, box, cushion, tube, turned
 from .furniture import books, plant, view
 
 _HALF, _HEIGHT, _DEEP = 3.0, 2.8, 4.0
-#: Middles of the desks, and which way their chairs look.
-_DESKS = ((-1.55, -1.9, 0), (1.45, -1.9, 0), (-1.55, 0.55, 0), (1.45, 0.55, 0))
+#: Middles of the desks.
+_DESKS = ((-1.55, -1.9), (1.45, -1.9), (-1.55, 0.55), (1.45, 0.55))
 _MATERIALS = palette(
     diffuse,
     "wood .48 .34 .22, white .74 .73 .70, grey .34 .35 .37, black .04 .04 .045, steel .50 .51 .53, screen .07 .09 .13, "
@@ -35,8 +35,8 @@ def _office(floor: dict[str, Any]) -> dict[str, Any]:
     model = Model(_MATERIALS)
     rng = np.random.default_rng(12)
     lamps = {}
-    for number, (x, z, turn) in enumerate(_DESKS):
-        model.put(_desk(rng), (x, 0.0, z), about(1, turn))
+    for number, (x, z) in enumerate(_DESKS):
+        model.put(_desk(rng), (x, 0.0, z))
         model.put(_chair(), (x + rng.uniform(-0.15, 0.15), 0.0, z + 0.62), about(1, 180 + rng.uniform(-40, 40)))
         if number in (0, 3):
             lamps[f"lamp-{number}"] = _trough(model, x, z)
