@@ -149,7 +149,7 @@ def _without_scales(state: mi.parser.ParserState) -> dict[str, str]:
     """
     import mitsuba as mi
 
-    matrices = {}
+    matrices: dict[str, str] = {}
     for node in state.nodes:
         for key, value in read_properties(node.props).items():
             if isinstance(value, mi.ScalarTransform4d):
