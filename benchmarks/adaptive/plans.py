@@ -22,11 +22,11 @@ from etendue.integration.recursive import _Plan
 from etendue.methods.adaptive.dimensions import NumberedSource
 from etendue.methods.adaptive.stratified import StratifiedPath
 from etendue.methods.base import total
+from etendue.scene.builtin import pieces
 from etendue.transport import dimensions as dim
 
 from ..measuring import Record
 from ..options import Seeds, named
-from ..vcm_thesis.scenes import parts
 
 #: Numbers of the host.
 Array = NDArray[Any]
@@ -35,20 +35,19 @@ PARAMETERS = ("light1", "light1 bounce1")
 
 def _lamps() -> dict[str, Any]:
     """One lamp of nine lights a floor, the others shine above the ceiling. Lengths: metres."""
-    floor = parts.rectangle((-2.0, 0.0, 2.0), (4.0, 0.0, 0.0), (0.0, 0.0, -4.0), parts.diffuse(0.5, 0.5, 0.5))
-    ceiling = parts.rectangle((-6.0, 2.3, -6.0), (12.0, 0.0, 0.0), (0.0, 0.0, 12.0), parts.diffuse(0.5, 0.5, 0.5))
+    floor = pieces.rectangle((-2.0, 0.0, 2.0), (4.0, 0.0, 0.0), (0.0, 0.0, -4.0), pieces.matt(0.5, 0.5, 0.5))
+    ceiling = pieces.rectangle((-6.0, 2.3, -6.0), (12.0, 0.0, 0.0), (0.0, 0.0, 12.0), pieces.matt(0.5, 0.5, 0.5))
     model: dict[str, Any] = {
         "type": "scene",
-        "sensor": parts.camera((0.0, 1.2, 3.4), (0.0, 0.4, 0.0), 45.0),
+        "sensor": pieces.camera((0.0, 1.2, 3.4), (0.0, 0.4, 0.0), 45.0, rfilter="box"),
         "floor": floor,
         "ceiling": ceiling,
-        "ball": {"type": "sphere", "center": [0.0, 0.4, 0.0], "radius": 0.4, "bsdf": parts.diffuse(0.6, 0.4, 0.3)},
+        "ball": {"type": "sphere", "center": [0.0, 0.4, 0.0], "radius": 0.4, "bsdf": pieces.matt(0.6, 0.4, 0.3)},
     }
     for i in range(9):
         corner = (-0.95, 2.2, 0.15) if i == 8 else (0.4 * i - 1.55, 3.5, -0.15)
-        lamp = {"emitter": {"type": "area", "radiance": parts.rgb(30.0, 30.0, 30.0)}}
-        black = parts.diffuse(0.0, 0.0, 0.0)
-        model[f"lamp-{i}"] = parts.rectangle(corner, (0.3, 0.0, 0.0), (0.0, 0.0, 0.3), black, **lamp)
+        black = pieces.matt(0.0, 0.0, 0.0)
+        model[f"lamp-{i}"] = pieces.rectangle(corner, (0.3, 0.0, 0.0), (0.0, 0.0, 0.3), black, 30.0, 30.0, 30.0)
     return model
 
 

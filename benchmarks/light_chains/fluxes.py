@@ -13,17 +13,18 @@ from etendue.particles import Particles
 from etendue.scene import Problem
 
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
-#: Shapes with more primitives are one row of cells, a primitive each.
-_MOST_DIVIDED = 16
+#: Shapes with more primitives are one row of cells, a primitive each, and those with still more have no cells: the
+#: furniture of an office, in triangles of a millimetre.
+_MOST_DIVIDED, _MOST = 16, 5000
 
 
 class Cells:
     """Cells of the shapes of a scene: ``side`` by ``side`` of each primitive of those with few, the primitives of
-    others."""
+    others, unless they have too many."""
 
     def __init__(self, problem: Problem, side: int) -> None:
         counts = np.array([max(1, int(s.effective_primitive_count())) for s in problem.scene.shapes()])
-        self._side = np.where(counts <= _MOST_DIVIDED, side, 1)
+        self._side = np.where(counts <= _MOST_DIVIDED, side, counts <= _MOST)
         each = counts * self._side**2
         self._first = np.cumsum(each) - each
         self.count = int(each.sum())
@@ -31,6 +32,7 @@ class Cells:
     def luminance(self, particles: Particles) -> Array:
         """Luminance of the flux on each cell."""
         side = self._side[particles.shape]
+        particles, side = particles[side > 0], side[side > 0]
         u, v = (np.minimum((particles.uv[:, i] * side).astype(np.int64), side - 1) for i in (0, 1))
         cell = self._first[particles.shape] + (particles.primitive.astype(np.int64) * side + v) * side + u
         return np.bincount(cell, particles.power.astype(np.float64) @ _LUMINANCE, self.count)

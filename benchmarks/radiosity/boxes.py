@@ -33,9 +33,9 @@ from etendue.radiosity.lines.generators import box_lines
 from ..measuring import Record, verdict
 from ..options import Out, Seeds, named, whole_numbers
 from .drivers import DRIVERS, INDEPENDENT
-from .furnished import FURNISHED, LEAST
 from .options import OUT
 from .references import mean_squared_error
+from .scenes import FURNISHED, LEAST
 
 Rooms = Annotated[
     Any, typer.Option("--scene", parser=named(FURNISHED, "scene"), help="Names, by commas.", metavar="NAMES")

@@ -35,9 +35,9 @@ from etendue.radiosity import (
 from ..measuring import ROOT, Record
 from ..options import Out, whole_numbers
 from .boxes import Rooms
-from .furnished import FURNISHED, LEAST
 from .options import OUT
 from .references import mean_squared_error
+from .scenes import FURNISHED, LEAST
 
 #: Patches of the rooms with detail 1.
 _PATCHES = {"room": 10122, "office": 6790}

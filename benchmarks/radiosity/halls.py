@@ -28,11 +28,12 @@ from etendue.radiosity import (
     shot_at_patches,
     solve,
 )
+from etendue.scene.builtin.theses.blocks import GAP
+from etendue.scene.meshes import Mesh
 
 from ..measuring import Record, verdict
 from ..options import Out
 from .options import OUT
-from .scenes import GAP, Mesh
 
 #: Metres between desks, and height of the hall.
 _PITCH, _HEIGHT = 2.2, 3.0

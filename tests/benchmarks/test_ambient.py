@@ -34,7 +34,7 @@ def test_scenes_are_closed_and_as_large_as_stated():
 
 
 def test_booths_are_sub_scenes():
-    shown = importlib.import_module("benchmarks.radiosity.ambient_scenes").three_lamps()
+    shown = importlib.import_module("benchmarks.radiosity.ambient_scenes").AMBIENT_SCENES["three-lamps"](1.0)
     scene = sub_scenes(shown.patches, shown.parts)
     assert len(scene.parts) == 3
     lit = [shown.patches.emission[part.patches].max() for part in scene.parts]

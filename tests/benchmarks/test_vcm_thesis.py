@@ -25,64 +25,7 @@ def module(name):
     return importlib.import_module(f"benchmarks.vcm_thesis.{name}")
 
 
-# ---------------------------------------------------------------------- solids
-
-
-def volume(part):
-    """Enclosed volume; positive if the faces look out."""
-    points, faces, _ = part
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    return float((a * np.cross(b, c)).sum() / 6.0)
-
-
-def solids():
-    parts = module("scenes.parts")
-    steps = np.linspace(0.0, 1.0, 40)
-    corners = [(r, 0.0) for r in steps] + [(1.0, y) for y in steps[1:]] + [(r, 1.0) for r in steps[-2::-1]]
-    line = np.stack([np.zeros(20), np.linspace(0.0, 2.0, 20), np.zeros(20)], -1)
-    return {
-        "box": (parts.box((1.0, 2.0, 3.0)), 6.0, 1e-9),
-        "round box": (parts.box((1.0, 2.0, 3.0), 0.01), 6.0, 0.01),
-        "cells": (parts.box((1.0, 2.0, 3.0), 0.01, 3, 7), 6.0, 0.01),
-        "cushion": (parts.cushion((1.0, 0.2, 1.0), 0.02, 0.0), 0.2, 0.02),
-        "ball": (parts.ball(0.5, 128, 64), np.pi / 6.0, 0.005),
-        "tube": (parts.tube(line, 0.1, 64), 0.02 * np.pi, 0.005),
-        "turned": (parts.turned(corners, 96, 2), np.pi, 0.005),
-        "ring": (parts.ring([(r + 1.0, y) for r, y in corners[1:-1]], 96, 2), 3.0 * np.pi, 0.1),
-    }
-
-
-@pytest.mark.parametrize("name", ["box", "round box", "cells", "cushion", "ball", "tube", "turned", "ring"])
-def test_solids_are_closed_and_look_out(name):
-    part, expected, tolerance = solids()[name]
-    points, faces, normals = part
-    assert volume(part) == pytest.approx(expected, rel=tolerance)
-    _, same = np.unique(np.round(points, 7), axis=0, return_inverse=True)
-    corners = same.ravel()[faces]
-    corners = corners[(corners != np.roll(corners, 1, 1)).all(axis=1)]  # without the triangles that have no area
-    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    forth, back = (set(map(tuple, pairs)) for pairs in (edges, edges[:, ::-1]))
-    assert len(forth) == len(edges) and forth == back, "an edge is not shared by two faces of one sense"
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    face = np.cross(b - a, c - a)
-    smooth = normals[faces].sum(axis=1)
-    solid = np.linalg.norm(face, axis=1) > 1e-9
-    assert np.mean((face * smooth).sum(axis=1)[solid] > 0.0) > 0.999
-    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0, abs=1e-6)
-
-
 # ---------------------------------------------------------------------- scenes
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_scenes_load(name):
-    """The capability check has nothing to say, and there are as many triangles as the issue wants."""
-    import mitsuba as mi
-
-    problem = module("entrants").open_scene(name, (16, 12))
-    triangles = sum(shape.face_count() for shape in problem.scene.shapes() if isinstance(shape, mi.Mesh))
-    assert 10_000 <= triangles <= 300_000
-    assert problem.size == (16, 12)
 
 
 @pytest.mark.slow

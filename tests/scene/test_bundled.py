@@ -1,9 +1,11 @@
 """The bundled scenes: sound geometry, and pictures from every method."""
 
+from itertools import product
+
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.tables import crossed
+from support.tables import FAST_SCENES, crossed, thinned
 
 from etendue import methods
 from etendue.core import Replica
@@ -121,12 +123,16 @@ def test_the_room_behind_the_door_is_closed_and_lit_indirectly():
     assert brightness(3) < 0.3 * brightness(12)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", thinned(SCENES, FAST_SCENES))
 def test_building_again_gives_the_same_scene(name):
     assert load(name).fingerprint == load(name).fingerprint
 
 
-@pytest.mark.parametrize(("name", "method"), crossed(SCENES, methods.table(), 6))
+#: Scenes of the theses with every fourth method, each scene with others.
+THESES = list(product([name for name in SCENES if name not in FAST_SCENES], methods.table()))[::4]
+
+
+@pytest.mark.parametrize(("name", "method"), crossed(FAST_SCENES, methods.table(), 6) + thinned(THESES, ()))
 def test_every_method_renders_it(name, method):
     problem = load(name, size=(24, 18))
     cls = methods.get(method)

@@ -11,6 +11,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import FAST_SCENES, thinned
 
 import etendue
 from etendue import methods
@@ -224,7 +225,7 @@ def _parameters(problem: Problem) -> dict[str, Any]:
     return {key: np.asarray(value, float).ravel() for key, value in found.items() if value is not None}
 
 
-@pytest.mark.parametrize("name", list(bundled()))
+@pytest.mark.parametrize("name", thinned(bundled(), FAST_SCENES))
 def test_bundled_scenes_as_xml(name: str, tmp_path: Path) -> None:
     """Meshes and bitmaps in memory become files; nothing is lost but the last digits."""
     (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
@@ -240,6 +241,20 @@ def test_bundled_scenes_as_xml(name: str, tmp_path: Path) -> None:
     assert sizes[0] == sizes[1]
     total, again = (np.sort([np.abs(values).sum() for values in found]) for found in (before, after))
     np.testing.assert_allclose(again, total, rtol=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.01, 1.0, 45.0, 400.0, 1e5])
+def test_scales_as_xml(scale: float, tmp_path: Path) -> None:
+    """A matrix is read as it was written, in a shape and in a texture of its material."""
+    turned = mi.ScalarTransform4d().translate([1, 2, 3]).rotate([0.6, 0.8, 0], 40).scale([scale, scale, 2 * scale])
+    checks = {"type": "checkerboard", "to_uv": mi.ScalarTransform4d().scale([scale, 3 * scale, 1])}
+    plate = {"type": "rectangle", "to_world": turned, "bsdf": {"type": "diffuse", "reflectance": checks}}
+    scene = room() | {"plate": plate}
+    (tmp_path / "scene.xml").write_text(scene_xml(scene))
+    one, other = (_parameters(load(source, change=name_elements)) for source in (scene, tmp_path / "scene.xml"))
+    for end in ("plate.to_world", "to_uv"):
+        (key,) = [name for name in one if name.endswith(end)]
+        np.testing.assert_allclose(other[key], one[key], rtol=1e-5, atol=1e-6 * scale)
 
 
 @pytest.mark.slow

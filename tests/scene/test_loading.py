@@ -5,6 +5,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import FAST_SCENES, thinned
 
 from etendue.core import OptionError, SceneError, UnsupportedError
 from etendue.scene import bundled, bundled_scene, integrator_of, load, locate
@@ -389,7 +390,7 @@ def test_many_meshes(scenes_dir):
     assert [e.get_shape().id() for e in problem.scene.emitters()]  # those that emit keep their name
 
 
-@pytest.mark.parametrize("name", list(bundled()))
+@pytest.mark.parametrize("name", thinned(bundled(), FAST_SCENES))
 def test_bundled_scenes_load(name):
     problem = load(name, size=(32, 24))
     assert problem.size == (32, 24)

@@ -7,6 +7,11 @@ from typing import Any
 
 import pytest
 
+from etendue.scene import bundled
+
+#: Bundled scenes of fast tests: those of the library's own, and two of the theses'.
+FAST_SCENES = (*list(bundled())[: list(bundled()).index("stage") + 1], "glass-of-water", "six-cubes")
+
 
 def thinned(rows: Iterable[Any], fast: Sequence[Any]) -> list[Any]:
     """The rows, those that are not in ``fast`` marked slow."""

@@ -25,6 +25,7 @@ from .lamps.rays import own_ray
 from .lamps.table import Light, LightTable
 from .loading import Source, checked_size, described, integrator_of, load, locate
 from .members import Material, Members, bsdfs, emitters
+from .meshes import box, joined
 from .models.reading import emits
 from .parsing import is_sensor
 from .parts import load_part, part_files, shape_boxes, unmerged
@@ -54,6 +55,7 @@ __all__ = [
     "SceneParameter",
     "Source",
     "add_plugin",
+    "box",
     "bsdfs",
     "bundled",
     "bundled_scene",
@@ -74,6 +76,7 @@ __all__ = [
     "is_described",
     "is_sensor",
     "is_smooth",
+    "joined",
     "lamps_in_surfaces",
     "load",
     "load_part",

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+import numpy as np
+
 from etendue.core import OptionError, SceneError, use_variant
 from etendue.film import replacing
 
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 #: A change of Mitsuba's parsed scene, before its objects are built.
 Change = Callable[["mi.parser.ParserState"], None]
+#: Scales that Mitsuba's writer writes rightly.
+_SCALES = (1 / 50, 50.0)
 #: Functions that write files, by path.
 _Writing = dict[Path, Callable[[Path], None]]
 
@@ -121,17 +125,42 @@ def scene_xml(
     with _resolving(folders):
         _name_absolutely(state)
         writing |= _without_bitmaps(state, folder)
+        matrices = _without_scales(state)
         try:
             text = _with_names(str(mi.parser.write_string(state)), state)
         except (RuntimeError, ValueError, TypeError) as error:
             why = re.sub(r"\s+", " ", str(error)).strip()
             raise SceneError(f"the scene {name} cannot be written as XML: {why}") from error
+    for mark, matrix in matrices.items():
+        text = text.replace(mark, matrix)
     for file, write in writing.items():
         with contextlib.suppress(OSError):  # writing to the folder reports the failure
             file.parent.mkdir(exist_ok=True)
         with replacing(file) as part:
             write(part)
     return text
+
+
+def _without_scales(state: mi.parser.ParserState) -> dict[str, str]:
+    """Replace transforms of a large or small scale by marks; returns the matrix of each mark, both as XML.
+
+    Mitsuba's writer takes transforms apart by a fixed number of iterations, which are too few for them: it writes a
+    scale of 800 as one of 934, with another rotation.
+    """
+    import mitsuba as mi
+
+    matrices: dict[str, str] = {}
+    for node in state.nodes:
+        for key, value in read_properties(node.props).items():
+            if isinstance(value, mi.ScalarTransform4d):
+                matrix = np.array(value.matrix, dtype=np.float64)
+                sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+                if sizes[0] > _SCALES[1] or sizes[-1] < _SCALES[0]:
+                    mark = 123456789 + len(matrices)
+                    node.props[key] = mi.ScalarTransform4d().translate([mark, -mark, mark])
+                    numbers = " ".join(map(repr, matrix.ravel().tolist()))
+                    matrices[f'<translate x="{mark}" y="-{mark}" z="{mark}" />'] = f'<matrix value="{numbers}" />'
+    return matrices
 
 
 def _with_names(text: str, state: mi.parser.ParserState) -> str:

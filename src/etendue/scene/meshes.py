@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
+Mesh = tuple[Points, Faces]
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,42 @@ class MeshDescription:
         return result
 
 
+def box(low: ArrayLike, high: ArrayLike, cells: ArrayLike = 1, inward: bool = False) -> Mesh:
+    """Vertices (v, 3) and quadrilaterals (m, 4) of a box, cut into ``cells`` along each axis, a number or three.
+
+    Its faces look outward, or ``inward`` for a room. Walls are in the order low x, high x, low y ..., each with its own
+    vertices, at the same positions as those of its neighbours.
+    """
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    cuts = np.broadcast_to(np.asarray(cells, dtype=np.int64), 3)
+    lines = [np.linspace(low[axis], high[axis], cuts[axis] + 1) for axis in range(3)]
+    walls = []
+    for axis in range(3):
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        j, k = (x.ravel() for x in np.meshgrid(np.arange(cuts[b] + 1), np.arange(cuts[c] + 1), indexing="ij"))
+        first = (j * (cuts[c] + 1) + k)[(j < cuts[b]) & (k < cuts[c])]
+        quads = np.stack([first, first + cuts[c] + 1, first + cuts[c] + 2, first + 1], axis=1)
+        for end in range(2):
+            points = np.empty((len(j), 3))
+            points[:, axis], points[:, b], points[:, c] = lines[axis][-end], lines[b][j], lines[c][k]
+            walls.append((points, quads if (end == 1) != inward else quads[:, ::-1]))
+    return joined(*walls)
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """Several meshes as one."""
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    faces = [faces + offset for (_, faces), offset in zip(meshes, offsets, strict=False)]
+    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
+
+
+def grid(rows: int, columns: int) -> Faces:
+    """Triangles of a grid of points, row by row, which look along (row axis) x (column axis)."""
+    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    lower = np.stack([a, a + columns, a + columns + 1], -1)
+    return np.concatenate([lower, np.stack([a, a + columns + 1, a + 1], -1)])
+
+
 def cuboids(lower: Points, upper: Points) -> tuple[Points, Faces]:
     """Boxes with these corners, (n, 3) each, as one mesh whose faces point outwards."""
     corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
@@ -93,7 +130,7 @@ def lathe(profile: Points, segments: int, closed: bool) -> tuple[Points, Faces, 
     normals.
 
     The solid is to the left of the profile's direction in the (radius, height) plane, so that faces and normals point
-    outwards. A profile that is not ``closed`` begins and ends on the axis (radius 0).
+    outwards. A profile that is not ``closed`` may begin and end on the axis (radius 0).
     """
     n = len(profile)
     angle = 2.0 * np.pi * np.arange(segments) / segments
@@ -106,7 +143,9 @@ def lathe(profile: Points, segments: int, closed: bool) -> tuple[Points, Faces, 
         tangent = np.roll(profile, -1, 0) - np.roll(profile, 1, 0)
     else:
         tangent = np.gradient(profile, axis=0)
-        tangent[0], tangent[-1] = [1.0, 0.0], [-1.0, 0.0]  # the surface crosses the axis horizontally
+        for end, sign in ((0, 1.0), (-1, -1.0)):
+            if profile[end, 0] < 1e-9:  # the surface crosses the axis horizontally
+                tangent[end] = [sign, 0.0]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     normals = tangent[:, None, 1:] * ring - tangent[:, None, :1] * up
 
@@ -116,7 +155,7 @@ def lathe(profile: Points, segments: int, closed: bool) -> tuple[Points, Faces, 
     c, d = (i + 1) % n * segments + j, (i + 1) % n * segments + (j + 1) % segments
     lower, upper = np.stack([a, d, b], -1), np.stack([a, c, d], -1)
     if not closed:  # at the axis one triangle of each quadrilateral has no area
-        lower, upper = lower[1:], upper[:-1]
+        lower, upper = lower[int(profile[0, 0] < 1e-9) :], upper[: n - 1 - int(profile[-1, 0] < 1e-9)]
     faces = np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
     return points.reshape(-1, 3), faces, normals.reshape(-1, 3)
 

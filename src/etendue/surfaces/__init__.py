@@ -1,5 +1,7 @@
 """Surfaces: patches and faces, read from meshes and scenes; ray casting; values and lightmaps on surfaces."""
 
+from etendue.scene import box, joined
+
 from .ambient import (
     AMBIENT_TERMS,
     CLASS_NORMALS,
@@ -45,7 +47,6 @@ from .readers.scenepatches import scene_patches
 from .readers.tessellation import shape_triangles
 from .savedpatches import differences, saved_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
-from .solids import box, joined
 from .spheres import bounding_sphere, joint_sphere
 
 __all__ = [

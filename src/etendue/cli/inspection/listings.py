@@ -62,6 +62,7 @@ def show_scenes() -> int:
     for name, scene in bundled().items():
         table.add_row(name, scene.description)
     Console(highlight=False).print(table)
+    say("\nAll are built by code and have the licence of the library (BSD 3-clause).")
     return 0
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .pieces import box, diffuse, placed, rgb
+from .pieces import box, camera, diffuse, pierced, placed, rgb, shell
 
 #: Inner sizes: half the width, the height, and the depths of the room and of the one behind it.
 _HALF, _HEIGHT, _ROOM, _BEHIND = 2.8, 2.6, 5.6, 2.4
@@ -22,33 +22,20 @@ def ajar() -> dict[str, Any]:
     import mitsuba as mi
 
     far = -_WALL - _BEHIND
-    middle, depth = (_ROOM + far) / 2, _ROOM - far
     paint, floor = diffuse(0.72, 0.70, 0.66), diffuse(0.45, 0.32, 0.2)
-    left, right = _DOOR_X
-    wall_z = -_WALL / 2
+    left, right = diffuse(0.62, 0.24, 0.18), diffuse(0.25, 0.42, 0.5)
+    leaf = _DOOR_X[1] - _DOOR_X[0]
     lamp = mi.ScalarTransform4f().translate([-_HALF + 0.5, 1.5, far + 1.0]).rotate([0, 1, 0], -90).scale(0.4)
-    hinge = mi.ScalarTransform4f().translate([left, 0.0, 0.02]).rotate([0, 1, 0], -_OPEN)
+    hinge = mi.ScalarTransform4f().translate([_DOOR_X[0], 0.0, 0.02]).rotate([0, 1, 0], -_OPEN)
     return {
         "type": "scene",
         "integrator": {"type": "guided", "max_depth": 12},
-        "sensor": _sensor(),
-        "floor": box((0.0, -_WALL / 2, middle), (2 * _HALF, _WALL, depth), floor),
-        "ceiling": box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), paint),
-        "left": box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.62, 0.24, 0.18)),
-        "right": box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.25, 0.42, 0.5)),
-        "front": box((0.0, _HEIGHT / 2, _ROOM + _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
-        "far": box((0.0, _HEIGHT / 2, far - _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
-        "wall-left": box(((left - _HALF) / 2, _HEIGHT / 2, wall_z), (left + _HALF, _HEIGHT, _WALL), paint),
-        "wall-right": box(((right + _HALF) / 2, _HEIGHT / 2, wall_z), (_HALF - right, _HEIGHT, _WALL), paint),
-        "wall-above": box(
-            ((left + right) / 2, (_DOOR_HEIGHT + _HEIGHT) / 2, wall_z),
-            (right - left, _HEIGHT - _DOOR_HEIGHT, _WALL),
-            paint,
-        ),
+        "sensor": camera((-0.1, 1.5, 5.4), (0.05, 1.05, 0.0), 58.0),
+        **shell(_HALF, _HEIGHT, (far, _ROOM), _WALL, paint, floor=floor, left=left, right=right),
+        **pierced("wall", _HALF, _HEIGHT, -_WALL / 2, _WALL, _DOOR_X, (0.0, _DOOR_HEIGHT), paint),
         "door": {
             "type": "cube",
-            "to_world": hinge
-            @ placed(((right - left) / 2, _DOOR_HEIGHT / 2, 0.02), (right - left, _DOOR_HEIGHT, 0.04)),
+            "to_world": hinge @ placed((leaf / 2, _DOOR_HEIGHT / 2, 0.02), (leaf, _DOOR_HEIGHT, 0.04)),
             "bsdf": diffuse(0.5, 0.42, 0.3),
         },
         "lamp": {
@@ -76,18 +63,4 @@ def ajar() -> dict[str, Any]:
             "radius": 0.35,
             "bsdf": diffuse(0.55, 0.5, 0.2),
         },
-    }
-
-
-def _sensor() -> dict[str, Any]:
-    import mitsuba as mi
-
-    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
-    return {
-        "type": "perspective",
-        "fov": 58.0,
-        "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([-0.1, 1.5, 5.4], [0.05, 1.05, 0.0], [0, 1, 0]),
-        "sampler": {"type": "independent", "sample_count": 64},
-        "film": film,
     }

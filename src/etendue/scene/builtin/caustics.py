@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..meshes import MeshDescription, Points, brilliant, height_field, lathe, smooth
-
-Vector = tuple[float, float, float]
+from .pieces import Vector, camera, glass, lamp, matt, rectangle, rgb, walls
 
 #: Inside of the room: ranges of x, y and z.
 _ROOM = ((-4.2, 4.2), (0.0, 4.4), (-3.0, 7.6))
@@ -31,7 +30,7 @@ def caustics() -> dict[str, Any]:
     return {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 16},
-        "sensor": _sensor(),
+        "sensor": camera((-0.3, 3.2, 6.9), (-0.08, 0.5, 0.35), 43.0, (640, 480)),
         **_room(),
         **_pool(),
         **_lamp(),
@@ -39,64 +38,19 @@ def caustics() -> dict[str, Any]:
     }
 
 
-def _sensor() -> dict[str, Any]:
-    import mitsuba as mi
-
-    return {
-        "type": "perspective",
-        "fov": 43.0,
-        "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([-0.3, 3.2, 6.9], [-0.08, 0.5, 0.35], [0, 1, 0]),
-        "sampler": {"type": "independent", "sample_count": 64},
-        "film": {
-            "type": "hdrfilm",
-            "width": 640,
-            "height": 480,
-            "pixel_format": "rgb",
-            "component_format": "float32",
-            "rfilter": {"type": "gaussian"},
-        },
-    }
-
-
-def _rgb(*value: float) -> dict[str, Any]:
-    return {"type": "rgb", "value": list(value)}
-
-
-def _diffuse(*value: float) -> dict[str, Any]:
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _rgb(*value)}}
-
-
-def _rectangle(corner: Vector, along: Vector, across: Vector, bsdf: dict[str, Any]) -> dict[str, Any]:
-    """The parallelogram of two edges from a corner; its normal is the direction of ``along`` x ``across``."""
-    import mitsuba as mi
-
-    u, v = np.array(along) / 2, np.array(across) / 2
-    normal = np.cross(u, v)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1] = u, v
-    matrix[:3, 2] = normal / np.linalg.norm(normal)
-    matrix[:3, 3] = np.array(corner) + u + v
-    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "bsdf": bsdf}
-
-
 def _room() -> dict[str, Any]:
-    (x0, x1), (y0, y1), (z0, z1) = _ROOM
-    width, height, depth = x1 - x0, y1 - y0, z1 - z0
-    wall, side, ceiling = _diffuse(0.09, 0.20, 0.26), _diffuse(0.34, 0.20, 0.15), _diffuse(0.45, 0.43, 0.40)
-    floor = _diffuse(0.62, 0.57, 0.50)
+    (x0, x1), (y0, _), (z0, z1) = _ROOM
+    width = x1 - x0
+    side, ceiling = matt(0.34, 0.20, 0.15), matt(0.45, 0.43, 0.40)
+    floor = matt(0.62, 0.57, 0.50)
     (p0, p1), (q0, q1) = _POOL_X, _POOL_Z
     return {
-        "back": _rectangle((x0, y0, z0), (width, 0, 0), (0, height, 0), wall),
-        "front": _rectangle((x1, y0, z1), (-width, 0, 0), (0, height, 0), ceiling),
-        "left": _rectangle((x0, y0, z1), (0, 0, -depth), (0, height, 0), side),
-        "right": _rectangle((x1, y0, z0), (0, 0, depth), (0, height, 0), side),
-        "ceiling": _rectangle((x0, y1, z0), (width, 0, 0), (0, 0, depth), ceiling),
+        **walls(*_ROOM, side, back=matt(0.09, 0.20, 0.26), front=ceiling, ceiling=ceiling, floor=None),
         # The floor surrounds the pool.
-        "floor-back": _rectangle((x0, y0, q0), (width, 0, 0), (0, 0, z0 - q0), floor),
-        "floor-front": _rectangle((x0, y0, z1), (width, 0, 0), (0, 0, q1 - z1), floor),
-        "floor-left": _rectangle((x0, y0, q1), (p0 - x0, 0, 0), (0, 0, q0 - q1), floor),
-        "floor-right": _rectangle((p1, y0, q1), (x1 - p1, 0, 0), (0, 0, q0 - q1), floor),
+        "floor-back": rectangle((x0, y0, q0), (width, 0, 0), (0, 0, z0 - q0), floor),
+        "floor-front": rectangle((x0, y0, z1), (width, 0, 0), (0, 0, q1 - z1), floor),
+        "floor-left": rectangle((x0, y0, q1), (p0 - x0, 0, 0), (0, 0, q0 - q1), floor),
+        "floor-right": rectangle((p1, y0, q1), (x1 - p1, 0, 0), (0, 0, q0 - q1), floor),
     }
 
 
@@ -120,22 +74,22 @@ def _pool() -> dict[str, Any]:
             "type": "diffuse",
             "reflectance": {
                 "type": "checkerboard",
-                "color0": _rgb(0.20, 0.55, 0.60),
-                "color1": _rgb(0.60, 0.78, 0.76),
+                "color0": rgb(0.20, 0.55, 0.60),
+                "color1": rgb(0.60, 0.78, 0.76),
                 "to_uv": mi.ScalarTransform4f().scale([4, 4, 1]),
             },
         },
     }
-    rim = _diffuse(0.40, 0.60, 0.62)
+    rim = matt(0.40, 0.60, 0.62)
     # The water ends inside the walls of the basin, which close its volume.
     sheet = height_field(_ripples, (p0 - 0.01, p1 + 0.01), (q0 - 0.01, q1 + 0.01), (110, 100))
     water = {"type": "dielectric", "int_ior": "water", "ext_ior": "air"}
     return {
-        "pool-bottom": _rectangle((p0, bottom, q1), (width, 0, 0), (0, 0, -length), tiles),
-        "pool-back": _rectangle((p0, bottom, q0), (width, 0, 0), (0, _POOL_DEPTH, 0), rim),
-        "pool-front": _rectangle((p1, bottom, q1), (-width, 0, 0), (0, _POOL_DEPTH, 0), rim),
-        "pool-left": _rectangle((p0, bottom, q1), (0, 0, -length), (0, _POOL_DEPTH, 0), rim),
-        "pool-right": _rectangle((p1, bottom, q0), (0, 0, length), (0, _POOL_DEPTH, 0), rim),
+        "pool-bottom": rectangle((p0, bottom, q1), (width, 0, 0), (0, 0, -length), tiles),
+        "pool-back": rectangle((p0, bottom, q0), (width, 0, 0), (0, _POOL_DEPTH, 0), rim),
+        "pool-front": rectangle((p1, bottom, q1), (-width, 0, 0), (0, _POOL_DEPTH, 0), rim),
+        "pool-left": rectangle((p0, bottom, q1), (0, 0, -length), (0, _POOL_DEPTH, 0), rim),
+        "pool-right": rectangle((p1, bottom, q0), (0, 0, length), (0, _POOL_DEPTH, 0), rim),
         "water": MeshDescription("water", *sheet[:2], water, sheet[2]),
     }
 
@@ -144,22 +98,15 @@ def _lamp() -> dict[str, Any]:
     """A small glowing ball in a hollow glass ball, hanging from a cord."""
 
     x, y, z = _LAMP
-    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
-    hollow = {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.5}
+    hollow = glass(1.0, outside=1.5)
     brass = {"type": "roughconductor", "material": "Cu", "distribution": "ggx", "alpha": 0.2}
     top = y + _BULB_RADIUS
     cap = np.array([[0.0, 0.0], [0.09, 0.0], [0.12, 0.05], [0.1, 0.16], [0.04, 0.22], [0.0, 0.22]])
     points, faces, normals = lathe(smooth(cap, 6, closed=False), 48, closed=False)
     points = points + np.array([x, top + _GAP, z])
     return {
-        "lamp": {
-            "type": "sphere",
-            "center": [x, y, z],
-            "radius": _LAMP_RADIUS,
-            "bsdf": {"type": "diffuse", "reflectance": _rgb(0.0, 0.0, 0.0)},
-            "emitter": {"type": "area", "radiance": _rgb(6400.0, 4800.0, 3100.0)},
-        },
-        "bulb": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS, "bsdf": glass},
+        "lamp": lamp(_LAMP, _LAMP_RADIUS, 6400.0, 4800.0, 3100.0),
+        "bulb": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS, "bsdf": glass()},
         "bulb-inside": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS - _BULB_WALL, "bsdf": hollow},
         "socket": MeshDescription("socket", points, faces, brass, normals),
         "cord": {
@@ -167,7 +114,7 @@ def _lamp() -> dict[str, Any]:
             "p0": [x, top + 0.2, z],
             "p1": [x, _ROOM[1][1], z],
             "radius": 0.012,
-            "bsdf": _diffuse(0.05, 0.05, 0.05),
+            "bsdf": matt(0.05, 0.05, 0.05),
         },
     }
 
@@ -178,7 +125,7 @@ def _still_life() -> dict[str, Any]:
             "type": "sphere",
             "center": [0.25, 0.62 + _GAP, 0.55],
             "radius": 0.62,
-            "bsdf": {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+            "bsdf": glass(),
         },
         "ring": _ring(),
         "vase": _vase(),
@@ -210,22 +157,10 @@ def _vase() -> MeshDescription:
     profile = smooth(np.array(outside + inside, dtype=np.float64), 8, closed=False)
     points, faces, normals = lathe(profile, 128, closed=False)
     points = points + np.array([-1.45, _GAP, -0.75])
-    amber = {
-        "type": "dielectric",
-        "int_ior": 1.5,
-        "ext_ior": 1.0,
-        "specular_transmittance": _rgb(0.98, 0.80, 0.48),
-    }
-    return MeshDescription("vase", points, faces, amber, normals)
+    return MeshDescription("vase", points, faces, glass(1.5, 0.98, 0.80, 0.48), normals)
 
 
 def _stone() -> MeshDescription:
     points, faces = brilliant(0.42, 0.3, 0.36, 9)
     points = points + np.array([0.6, _GAP, 2.45])
-    sapphire = {
-        "type": "dielectric",
-        "int_ior": 1.77,
-        "ext_ior": 1.0,
-        "specular_transmittance": _rgb(0.62, 0.84, 0.97),
-    }
-    return MeshDescription("stone", points, faces, sapphire)
+    return MeshDescription("stone", points, faces, glass(1.77, 0.62, 0.84, 0.97))

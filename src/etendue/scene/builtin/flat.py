@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .pieces import box, diffuse, rgb
+from .pieces import box, camera, diffuse, pierced, rgb, shell
 
 #: Half the width and the height of the rooms; depths of living room, hall and bedroom; thickness of the walls.
 _HALF, _HEIGHT, _LIVING, _HALL, _BEDROOM, _WALL = 2.7, 2.5, 4.6, 2.2, 3.6, 0.12
@@ -22,19 +22,15 @@ def flat() -> dict[str, Any]:
 
     fronts = (-_WALL / 2, -1.5 * _WALL - _HALL)  # middles of the walls with doorways
     far = -2.0 * _WALL - _HALL - _BEDROOM
-    middle, depth = (_LIVING + far) / 2, _LIVING - far
     paint, wood = diffuse(0.84, 0.81, 0.76), diffuse(0.5, 0.35, 0.22)
+    other = {"floor": wood, "ceiling": diffuse(0.86, 0.86, 0.84)}
+    other |= {"left": diffuse(0.42, 0.6, 0.58), "right": diffuse(0.75, 0.55, 0.34)}
     lamp = (0.4, 1.9, far + 0.55 * _BEDROOM)
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 14},
-        "sensor": _sensor(),
-        "floor": box((0.0, -_WALL / 2, middle), (2 * _HALF, _WALL, depth), wood),
-        "ceiling": box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), diffuse(0.86, 0.86, 0.84)),
-        "left": box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.42, 0.6, 0.58)),
-        "right": box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.75, 0.55, 0.34)),
-        "front": box((0.0, _HEIGHT / 2, _LIVING + _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
-        "far": box((0.0, _HEIGHT / 2, far - _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
+        "sensor": camera((-1.9, 1.5, 4.3), (0.5, 1.0, 0.0), 62.0),
+        **shell(_HALF, _HEIGHT, (far, _LIVING), _WALL, paint, **other),
         "bulb": {
             "type": "sphere",
             "center": list(lamp),
@@ -70,24 +66,6 @@ def flat() -> dict[str, Any]:
             "bsdf": {"type": "conductor", "material": "Ag"},
         },
     }
-    for number, (z, (left, right)) in enumerate(zip(fronts, _DOORS, strict=True)):
-        sides = {"left": (-_HALF, left), "right": (right, _HALF)}
-        for name, (x0, x1) in sides.items():
-            scene[f"wall{number}-{name}"] = box(((x0 + x1) / 2, _HEIGHT / 2, z), (x1 - x0, _HEIGHT, _WALL), paint)
-        above = ((left + right) / 2, (_DOOR_HEIGHT + _HEIGHT) / 2, z), (right - left, _HEIGHT - _DOOR_HEIGHT, _WALL)
-        scene[f"wall{number}-above"] = box(*above, paint)
+    for number, (z, door) in enumerate(zip(fronts, _DOORS, strict=True)):
+        scene |= pierced(f"wall{number}", _HALF, _HEIGHT, z, _WALL, door, (0.0, _DOOR_HEIGHT), paint)
     return scene
-
-
-def _sensor() -> dict[str, Any]:
-    import mitsuba as mi
-
-    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
-    return {
-        "type": "perspective",
-        "fov": 62.0,
-        "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([-1.9, 1.5, 4.3], [0.5, 1.0, 0.0], [0, 1, 0]),
-        "sampler": {"type": "independent", "sample_count": 64},
-        "film": film,
-    }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .pieces import box, diffuse, rgb
+from .pieces import camera, diffuse, pierced, rgb, shell
 
 #: Inner sizes: half the width, the height, the depths of the room and of the two chambers behind it.
 _HALF, _HEIGHT, _ROOM, _CHAMBER = 1.6, 2.2, 3.2, 1.4
@@ -23,19 +23,14 @@ def gaps() -> dict[str, Any]:
 
     fronts = (-_WALL / 2, -1.5 * _WALL - _CHAMBER)  # middles of the walls with gaps
     far = -2.0 * (_WALL + _CHAMBER)
-    middle, depth = (_ROOM + far) / 2, _ROOM - far
-    paint = diffuse(0.75, 0.72, 0.68)
+    paint, floor = diffuse(0.75, 0.72, 0.68), diffuse(0.5, 0.42, 0.32)
+    left, right = diffuse(0.68, 0.34, 0.26), diffuse(0.34, 0.5, 0.62)
     lamp = mi.ScalarTransform4f().translate([-_HALF + 0.35, 1.2, far + 0.7]).rotate([0, 1, 0], -90).scale(0.25)
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "mmlt", "max_depth": 16},
-        "sensor": _sensor(),
-        "floor": box((0.0, -_WALL / 2, middle), (2 * _HALF, _WALL, depth), diffuse(0.5, 0.42, 0.32)),
-        "ceiling": box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), paint),
-        "left": box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.68, 0.34, 0.26)),
-        "right": box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.34, 0.5, 0.62)),
-        "front": box((0.0, _HEIGHT / 2, _ROOM + _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
-        "far": box((0.0, _HEIGHT / 2, far - _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
+        "sensor": camera((0.15, 1.2, 3.05), (0.0, 0.95, 0.0), 60.0),
+        **shell(_HALF, _HEIGHT, (far, _ROOM), _WALL, paint, floor=floor, left=left, right=right),
         "lamp": {
             "type": "disk",
             "to_world": lamp,
@@ -54,27 +49,6 @@ def gaps() -> dict[str, Any]:
             "bsdf": diffuse(0.6, 0.58, 0.5),
         },
     }
-    for number, (z, ((left, right), (low, high))) in enumerate(zip(fronts, _GAPS, strict=True)):
-        parts = {
-            "left": ((-_HALF, left), (0.0, _HEIGHT)),
-            "right": ((right, _HALF), (0.0, _HEIGHT)),
-            "below": ((left, right), (0.0, low)),
-            "above": ((left, right), (high, _HEIGHT)),
-        }
-        for name, ((x0, x1), (y0, y1)) in parts.items():
-            scene[f"wall{number}-{name}"] = box(((x0 + x1) / 2, (y0 + y1) / 2, z), (x1 - x0, y1 - y0, _WALL), paint)
+    for number, (z, gap) in enumerate(zip(fronts, _GAPS, strict=True)):
+        scene |= pierced(f"wall{number}", _HALF, _HEIGHT, z, _WALL, *gap, paint)
     return scene
-
-
-def _sensor() -> dict[str, Any]:
-    import mitsuba as mi
-
-    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
-    return {
-        "type": "perspective",
-        "fov": 60.0,
-        "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([0.15, 1.2, 3.05], [0.0, 0.95, 0.0], [0, 1, 0]),
-        "sampler": {"type": "independent", "sample_count": 64},
-        "film": film,
-    }

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..meshes import MeshDescription, cuboids
-from .pieces import box, diffuse, rgb
+from .pieces import box, camera, diffuse, rgb
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def street() -> dict[str, Any]:
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 10},
-        "sensor": _sensor(),
+        "sensor": camera((0.4, 1.65, 17.0), (-0.1, 1.75, 0.0), 62.0),
         "road": {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(0.75 * _BLOCKS * _PITCH),
@@ -144,18 +144,4 @@ def _things() -> dict[str, Any]:
         "car": MeshDescription("car", *cuboids(body[:, 0], body[:, 1]), lacquer),
         "plinth": box((1.7, 0.5, 8.0), (0.8, 1.0, 0.8), diffuse(0.4, 0.4, 0.38)),
         "ball": {"type": "sphere", "center": [1.7, 1.451, 8.0], "radius": 0.45, "bsdf": ball},
-    }
-
-
-def _sensor() -> dict[str, Any]:
-    import mitsuba as mi
-
-    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
-    return {
-        "type": "perspective",
-        "fov": 62.0,
-        "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([0.4, 1.65, 17.0], [-0.1, 1.75, 0.0], [0, 1, 0]),
-        "sampler": {"type": "independent", "sample_count": 64},
-        "film": film,
     }

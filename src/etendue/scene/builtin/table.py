@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from etendue.core import SceneError, suggest
 
 from ..meshes import MeshDescription
+from . import theses
 from .ajar import ajar
 from .caustics import caustics
 from .flat import flat
 from .gaps import gaps
+from .pieces import camera, diffuse, rgb, sky
 from .street import street
 from .yard import yard
 
@@ -72,6 +71,7 @@ def bundled() -> dict[str, BundledScene]:
         ("yard", "a yard at dusk: a sky, a low sun, and ten lamps, one of them near", yard),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
+        *theses.SCENES,
     )
     scenes = {name: BundledScene(name, text, describe) for name, text, describe in rows}
     scenes["caustics"] = replace(scenes["caustics"], reference=_DATA / "caustics.exr", reference_note=_CAUSTICS_NOTE)
@@ -119,17 +119,17 @@ def skylight() -> dict[str, Any]:
 
     checkers = {
         "type": "checkerboard",
-        "color0": _rgb(0.32, 0.30, 0.28),
-        "color1": _rgb(0.62, 0.60, 0.55),
+        "color0": rgb(0.32, 0.30, 0.28),
+        "color1": rgb(0.62, 0.60, 0.55),
         "to_uv": mi.ScalarTransform4f().scale([16, 16, 1]),
     }
-    lacquer = {"type": "principled", "base_color": _rgb(0.55, 0.06, 0.05), "roughness": 0.25, "clearcoat": 1.0}
+    lacquer = {"type": "principled", "base_color": rgb(0.55, 0.06, 0.05), "roughness": 0.25, "clearcoat": 1.0}
     return {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 10},
-        "sensor": _camera([0.0, 1.6, 5.2], [0.0, 0.55, 0.0], 38.0)
+        "sensor": camera((0.0, 1.6, 5.2), (0.0, 0.55, 0.0), 38.0)
         | {"type": "thinlens", "aperture_radius": 0.03, "focus_distance": 5.0},
-        "sky": {"type": "envmap", "bitmap": mi.Bitmap(_sky_pixels())},
+        "sky": sky((-0.75, 0.55, -0.35), (260.0, 220.0, 165.0)),
         "ground": {
             "type": "disk",
             "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(9.0),
@@ -142,24 +142,6 @@ def skylight() -> dict[str, Any]:
     }
 
 
-def _sky_pixels() -> NDArray[np.float32]:
-    """Radiance of the sky, 64x128: blue that brightens to the horizon, dark ground, and a soft sun low on one side."""
-    theta = (np.arange(64) + 0.5) / 64 * np.pi
-    phi = (np.arange(128) + 0.5) / 128 * 2 * np.pi
-    up = np.cos(theta)[:, None, None]
-    zenith, horizon, ground = np.array([0.10, 0.22, 0.50]), np.array([0.65, 0.68, 0.70]), np.array([0.09, 0.08, 0.07])
-    sky = np.where(up > 0, horizon + (zenith - horizon) * np.clip(up, 0, 1) ** 0.5, ground)
-    pixels = np.broadcast_to(sky, (64, 128, 3)).copy()
-    direction = np.stack(
-        [np.sin(theta)[:, None] * np.sin(phi), np.broadcast_to(np.cos(theta)[:, None], (64, 128)),
-         -np.sin(theta)[:, None] * np.cos(phi)], -1,
-    )  # fmt: skip
-    sun = np.array([-0.75, 0.55, -0.35])
-    cosine = direction @ (sun / np.linalg.norm(sun))
-    pixels += np.exp((cosine - 1.0) / 0.0012)[..., None] * np.array([260.0, 220.0, 165.0])
-    return pixels.astype(np.float32)
-
-
 def stage() -> dict[str, Any]:
     """Delta lights only: two spots and a point light over glass, plastic and steel on a bare stage."""
     import mitsuba as mi
@@ -169,24 +151,24 @@ def stage() -> dict[str, Any]:
         return {"type": "spot", "to_world": look, "intensity": colour, "cutoff_angle": 20.0, "beam_width": 14.0}
 
     def wall(transform: mi.ScalarTransform4f, *value: float) -> dict[str, Any]:
-        return {"type": "rectangle", "to_world": transform, "bsdf": {"type": "diffuse", "reflectance": _rgb(*value)}}
+        return {"type": "rectangle", "to_world": transform, "bsdf": diffuse(*value)}
 
     floor = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(6.0)
     back = mi.ScalarTransform4f().translate([0, 2, -2.5]).scale([6.0, 4.0, 1.0])
     return {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 10},
-        "sensor": _camera([0.0, 2.2, 6.0], [0.0, 0.6, 0.0], 36.0),
-        "warm": spot([-3.0, 4.0, 1.5], [-0.6, 0.4, 0.0], _rgb(90.0, 62.0, 38.0)),
-        "cool": spot([3.0, 4.0, 0.5], [0.8, 0.4, 0.2], _rgb(30.0, 52.0, 90.0)),
-        "candle": {"type": "point", "position": [0.1, 0.5, 1.5], "intensity": _rgb(1.2, 0.8, 0.4)},
+        "sensor": camera((0.0, 2.2, 6.0), (0.0, 0.6, 0.0), 36.0),
+        "warm": spot([-3.0, 4.0, 1.5], [-0.6, 0.4, 0.0], rgb(90.0, 62.0, 38.0)),
+        "cool": spot([3.0, 4.0, 0.5], [0.8, 0.4, 0.2], rgb(30.0, 52.0, 90.0)),
+        "candle": {"type": "point", "position": [0.1, 0.5, 1.5], "intensity": rgb(1.2, 0.8, 0.4)},
         "floor": wall(floor, 0.5, 0.48, 0.45),
         "back": wall(back, 0.35, 0.12, 0.12),
         "glass": {"type": "sphere", "center": [-0.7, 0.552, 0.1], "radius": 0.55, "bsdf": {"type": "dielectric"}},
         "plastic": {
             "type": "cube",
             "to_world": mi.ScalarTransform4f().translate([0.25, 0.402, -0.9]).rotate([0, 1, 0], 30).scale(0.4),
-            "bsdf": {"type": "roughplastic", "diffuse_reflectance": _rgb(0.1, 0.35, 0.15), "alpha": 0.1},
+            "bsdf": {"type": "roughplastic", "diffuse_reflectance": rgb(0.1, 0.35, 0.15), "alpha": 0.1},
         },
         "steel": {
             "type": "cylinder",
@@ -196,20 +178,3 @@ def stage() -> dict[str, Any]:
             "bsdf": {"type": "twosided", "bsdf": {"type": "conductor", "material": "Cr"}},
         },
     }
-
-
-def _camera(origin: list[float], target: list[float], fov: float) -> dict[str, Any]:
-    import mitsuba as mi
-
-    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
-    return {
-        "type": "perspective",
-        "fov": fov,
-        "to_world": mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0]),
-        "sampler": {"type": "independent", "sample_count": 64},
-        "film": film,
-    }
-
-
-def _rgb(*value: float) -> dict[str, Any]:
-    return {"type": "rgb", "value": list(value)}

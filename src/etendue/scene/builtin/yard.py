@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .pieces import box, diffuse, rgb
+from .pieces import box, camera, diffuse, rgb
 
 #: Half the side of the ground, and distance of the far lamps, in metres.
 _GROUND, _FAR = 80.0, 24.0
@@ -24,18 +24,11 @@ def yard() -> dict[str, Any]:
     def facing(origin: list[float], target: list[float]) -> mi.ScalarTransform4f:
         return mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0.01])
 
-    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
     ground = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(_GROUND)
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 8},
-        "sensor": {
-            "type": "perspective",
-            "fov": 42.0,
-            "to_world": facing([1.8, 1.7, 4.6], [-0.2, 0.8, 0.0]),
-            "sampler": {"type": "independent", "sample_count": 64},
-            "film": film,
-        },
+        "sensor": camera((1.8, 1.7, 4.6), (-0.2, 0.8, 0.0), 42.0, up=(0, 1, 0.01)),
         "sky": {"type": "constant", "radiance": rgb(0.02, 0.028, 0.05)},
         "sun": {"type": "directional", "direction": [-0.8, -0.22, 0.35], "irradiance": rgb(0.16, 0.09, 0.045)},
         "ground": {"type": "rectangle", "to_world": ground, "bsdf": diffuse(0.2, 0.19, 0.17)},

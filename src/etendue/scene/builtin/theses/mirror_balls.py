@@ -9,23 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .parts import (
-    GAP,
-    Model,
-    Vector,
-    ball,
-    camera,
-    diffuse,
-    glass,
-    lamp,
-    metal,
-    mirror,
-    picture,
-    planks,
-    rectangle,
-    ring,
-    turned,
-)
+from ..pieces import Vector, glass, lamp, matt, metal, mirror, planks, textured, walls
+from ..solids import GAP, Model, ball, inside_out, outline, ring, turned
+from .furniture import view
 
 _WIDTH, _HEIGHT, _FRONT, _BACK = 5.2, 2.9, 4.4, -2.0
 _BULB: Vector = (0.15, 1.8, 0.2)
@@ -46,27 +32,21 @@ _GLOBE = (-0.05, -1.05)
 
 def mirror_balls() -> dict[str, Any]:
     """The scene as a Mitsuba dictionary; about 250 000 triangles."""
-    model = Model(
-        {
-            "silver": mirror(0.93, 0.93, 0.92),
-            "gold": metal("Au"),
-            "copper": metal("Cu"),
-            "glass": glass(),
-            "iron": metal("Cr", 0.25),
-            "skirting": diffuse(0.55, 0.52, 0.48),
-        }
-    )
+    metals = {"gold": metal("Au"), "copper": metal("Cu"), "iron": metal("Cr", 0.25)}
+    model = Model({"silver": mirror(0.93, 0.93, 0.92), "glass": glass(), **metals})
     for (x, z), radius, material in _strewn():
         model.add(material, ball(radius, 104, 52), (x, radius + GAP, z))
     for (x, z), radius in _RINGS:
         band = [(radius, 0.0), (1.1 * radius, 0.0), (1.1 * radius, 0.4 * radius), (radius, 0.4 * radius)]
         model.add("gold", ring([(r, GAP + y) for r, y in _subdivided(band)], 144), (x, 0.0, z))
     _lamps(model)
+    half, boards = _WIDTH / 2, textured(planks(3, 14, tone=(0.46, 0.33, 0.22)), (2.0, 2.0))
+    sides = {"left": matt(0.20, 0.34, 0.36), "right": matt(0.48, 0.22, 0.14), "ceiling": matt(0.75, 0.74, 0.72)}
     return {
         "type": "scene",
         "integrator": {"type": "vcm"},
-        "sensor": camera((0.0, 1.75, 3.35), (0.02, 0.3, 0.0), 47.0),
-        **_room(),
+        "sensor": view((0.0, 1.75, 3.35), (0.02, 0.3, 0.0), 47.0),
+        **walls((-half, half), (0.0, _HEIGHT), (_BACK, _FRONT), matt(0.62, 0.58, 0.52), floor=boards, **sides),
         "bulb": lamp(_BULB, 0.03, 1500.0, 1280.0, 950.0),
         "globe": lamp((_GLOBE[0], 0.36, _GLOBE[1]), 0.025, 300.0, 205.0, 110.0),
         **model.shapes(),
@@ -95,31 +75,11 @@ def _subdivided(polygon: list[tuple[float, float]], times: int = 3) -> list[tupl
 def _lamps(model: Model) -> None:
     """A glass globe on the floor around the small lamp, on a foot; a fitting and a cord for the bare one."""
     x, z = _GLOBE
-    thick = [(0.0, 0.0), (0.1, 0.0), (0.22, 0.1), (0.24, 0.22), (0.2, 0.36), (0.08, 0.44), (0.0, 0.44)]
-    model.add("glass", turned(thick, 64, 6), (x, 0.14, z))
+    thick = outline("0,0 10,0 22,10 24,22 20,36 8,44 0,44")
     inside = [(r * 0.93, 0.22 + (y - 0.22) * 0.93) for r, y in thick]
-    points, faces, normals = turned(inside, 64, 6)
-    model.add("glass", (points, faces[:, ::-1], -normals), (x, 0.14, z))
-    foot = [(0.0, 0.0), (0.16, 0.0), (0.17, 0.02), (0.05, 0.05), (0.05, 0.12), (0.0, 0.13)]
-    model.add("iron", turned(foot, 64), (x, GAP, z))
-    fitting = [(0.0, 0.0), (0.035, 0.0), (0.045, 0.06), (0.03, 0.1), (0.008, 0.12), (0.008, 1.05), (0.0, 1.05)]
-    model.add("iron", turned(fitting, 48), (_BULB[0], _BULB[1] + 0.035, _BULB[2]))
-    dish = [(0.05, 0.0), (0.16, 0.0), (0.16, 0.02), (0.05, 0.02)]
-    model.add("iron", ring(dish, 64), (_BULB[0], _HEIGHT - 0.025, _BULB[2]))
-
-
-def _room() -> dict[str, Any]:
-    half, depth = _WIDTH / 2, _FRONT - _BACK
-    wall, side, ceiling = diffuse(0.62, 0.58, 0.52), diffuse(0.20, 0.34, 0.36), diffuse(0.75, 0.74, 0.72)
-    other: dict[str, Any] = diffuse(0.48, 0.22, 0.14)
-    boards = planks(np.random.default_rng(3), 14, tone=(0.46, 0.33, 0.22))
-    wood = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": picture(boards, (2.0, 2.0))}}
-    corner: Vector = (-half, 0.0, _BACK)
-    return {
-        "floor": rectangle((-half, 0.0, _FRONT), (_WIDTH, 0.0, 0.0), (0.0, 0.0, -depth), wood),
-        "back": rectangle(corner, (_WIDTH, 0.0, 0.0), (0.0, _HEIGHT, 0.0), wall),
-        "front": rectangle((half, 0.0, _FRONT), (-_WIDTH, 0.0, 0.0), (0.0, _HEIGHT, 0.0), wall),
-        "left": rectangle((-half, 0.0, _FRONT), (0.0, 0.0, -depth), (0.0, _HEIGHT, 0.0), side),
-        "right": rectangle((half, 0.0, _BACK), (0.0, 0.0, depth), (0.0, _HEIGHT, 0.0), other),
-        "ceiling": rectangle((-half, _HEIGHT, _BACK), (_WIDTH, 0.0, 0.0), (0.0, 0.0, depth), ceiling),
-    }
+    model.add("glass", turned(thick, 64), (x, 0.14, z))
+    model.add("glass", inside_out(turned(inside, 64)), (x, 0.14, z))
+    model.add("iron", turned("0,0 16,0 17,2 5,5 5,12 0,13", 64), (x, GAP, z))
+    fitting = turned("0,0 3.5,0 4.5,6 3,10 .8,12 .8,105 0,105", 48)
+    model.add("iron", fitting, (_BULB[0], _BULB[1] + 0.035, _BULB[2]))
+    model.add("iron", ring("5,0 16,0 16,2 5,2", 64), (_BULB[0], _HEIGHT - 0.025, _BULB[2]))
