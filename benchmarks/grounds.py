@@ -50,7 +50,7 @@ def lamps(methods: Methods = "path,bpt,vcm,guided,auto", seeds: Seeds = 3) -> Re
     return record
 
 
-def merging(methods: Methods = "vcm,auto,bpm,sppm", seeds: Seeds = 3) -> Record:
+def merging(methods: Methods = "vcm,auto", seeds: Seeds = 3) -> Record:
     """A still life on a ground: blocks of 8x8 pixels beside those of ``bpt``."""
     record = Record(
         f"Bias of merging on a ground, {_SIZE[0]}x{_SIZE[1]}, {_MERGED} samples",
