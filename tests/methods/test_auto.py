@@ -15,7 +15,7 @@ from etendue import scene
 from etendue.core import RELATIVE_EPSILON, CheckpointError
 from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
 from etendue.methods.auto import method as auto
-from etendue.methods.bidirectional_settings import BidirectionalSettings
+from etendue.methods.bidirectional import BidirectionalSettings
 from etendue.transport import TILE, Candidate
 
 PATH = FIXED["path"]
@@ -154,7 +154,7 @@ def test_path_tracing_has_the_roulette_that_its_moments_are_of():
     room = scene.load("ajar", size=(24, 16))
     learning, fixed = (prepared(room, "auto", samples_per_pass=4, choice=choice) for choice in ("learn", "path"))
     go(learning, 1)
-    rays = [one.method._path(5, 1, 4)[1]["rays"] for one in (learning, fixed)]
+    rays = [one.method._rendered(FIXED["path"], 5, 1, 4)[1]["rays"] for one in (learning, fixed)]
     assert rays[0] < 0.9 * rays[1]
 
 

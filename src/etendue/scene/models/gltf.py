@@ -79,7 +79,9 @@ def check_pictures(path: Path, found: Mapping[str, Any], raw: Mapping[str, Any],
             picture.load()
         except (AttributeError, OSError):
             name = _picture(found, texture)
-            raise SceneError(f"{path} names {name}, which is missing or broken; put it there, or export again") from None
+            raise SceneError(
+                f"{path} names {name}, which is missing or broken; put it there, or export again"
+            ) from None
         if texture.get("texCoord", 0) or "KHR_texture_transform" in texture.get("extensions", {}):
             name = raw.get("name", "without a name")
             logger.warning(
