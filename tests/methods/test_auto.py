@@ -115,10 +115,7 @@ def test_moments_are_those_of_the_candidate(estimated, name):
     counts, images = BRUTE[name], []
     method = estimated[0].method
     for iteration in range(100, 140):
-        if counts.light_paths:
-            method._vcm.use(counts)
-        render = method._vcm.render_pass if counts.light_paths else method._path
-        images.append(render(iteration, 1, SAMPLES)[0]["image"] / SAMPLES)
+        images.append(method._rendered(counts, iteration, 1, SAMPLES)[0]["image"] / SAMPLES)
     images = np.stack(images).astype(float)
     foreseen = []
     for what in (one.method._learned for one in estimated):

@@ -1,6 +1,6 @@
 """The 3-D view: surfaces, rays, photons, trees and grids, radiosity, the guide's directions.
 
-All but the surfaces and the guide is made by a process of its own, because compiling a kernel takes seconds, during
+All but the surfaces is made by a process of its own, because compiling a kernel takes seconds, during
 which Dr.Jit does nothing else in this one. If a scene cannot be given to another process, the session makes it.
 """
 
@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from etendue.core import EtendueError, OptionError, describe
+from etendue.core import EtendueError, OptionError, describe, suggest
 from etendue.scene import Problem, graph
 from etendue.transport import Guide
 
 from ..figures import meshes, trees
 from ..figures.packing import joined
-from ..protocol import numbers
 from ..refining import Refinement
 from ..tracing import Arrays, Desk, Order, Reply, SceneCopy, TracingProcess, View
 from . import Panel
@@ -23,8 +22,8 @@ from . import Panel
 if TYPE_CHECKING:
     from ..clients import Client
 
-#: Rows of the picture of a guide's directions.
-_ROWS = 64
+#: Messages of a page.
+_VERBS = ("mesh", "paths", "photons", "tree", "guide", "solve", "stop", "stay")
 #: Growth of the number of passes after which rays that follow the picture are traced again.
 _GROWTH = 2
 #: What the page is told where another process cannot be used.
@@ -62,14 +61,14 @@ class Space(Panel):
     def state(self) -> dict[str, Any]:
         """Number of the scene, names of its lights, kinds of trees, and whether radiosity is solved or a guide
         exists."""
-        problem = self.session.problem
+        problem, main = self.session.problem, self.session.main
         lights = [] if problem is None else [_light_name(emitter) for emitter in problem.scene.emitters()]
         return {
             "scene": self._scenes,
             "lights": lights,
             "trees": trees.KINDS,
             "solving": self._solving,
-            "guided": self._guide() is not None,
+            "guided": isinstance(main, Refinement) and isinstance(getattr(main.method, "guide", None), Guide),
         }
 
     def scene_loaded(self) -> None:
@@ -102,18 +101,16 @@ class Space(Panel):
         self._main, self._has = None, -1
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
-        """``mesh`` and ``guide`` answer the page that asks, ``paths``, ``photons`` and ``tree`` do so later; ``solve``
+        """``mesh`` answers the page that asks; ``paths``, ``photons``, ``tree`` and ``guide`` do so later; ``solve``
         all pages, until ``stop``. ``paths`` with ``follow`` are traced again when the picture changes, until
         ``stay``."""
         problem = self.session.problem
-        if verb not in ("mesh", "guide", "paths", "photons", "tree", "solve", "stop", "stay"):
-            raise OptionError(f"there is no message 'space.{verb}'; there are mesh, paths, photons, tree, solve, ...")
+        if verb not in _VERBS:
+            raise OptionError(f"there is no message 'space.{verb}'; {suggest(verb, _VERBS)}")
         if problem is None:
             raise OptionError("no scene is loaded; open one first")
         if verb == "mesh":
             self._mesh(problem, client)
-        elif verb == "guide":
-            self._show_guide(message, client)
         elif verb == "stay":
             self._following.pop(client, None)
         elif verb in ("solve", "stop"):
@@ -166,26 +163,11 @@ class Space(Panel):
         for verb, (found, fields) in self._solution.items():
             self._send(client, verb, found, **fields)
 
-    def _show_guide(self, message: Mapping[str, Any], client: Client) -> None:
-        guide = self._guide()
-        if guide is None:
-            raise OptionError("the picture has no guide: render it by guided")
-        cell = guide.cell_at(numbers(message, "position", 3), numbers(message, "normal", 3))
-        facing = int(guide.boxes()[2][cell])
-        picture = guide.picture(cell, _ROWS)
-        about: Any = {"cell": cell, "cells": guide.cells, "facing": facing, "width": 2 * _ROWS, "height": _ROWS}
-        self._send(client, "guide", {"density": picture}, **about)
-
-    def _guide(self) -> Guide | None:
-        """The guide of the picture's method; ``None`` without one."""
-        main = self.session.main
-        guide = getattr(main.method, "guide", None) if isinstance(main, Refinement) else None
-        return guide if isinstance(guide, Guide) else None
-
     # ------------------------------------------------------------------ answers of the process
 
     def _ask(self, verb: str, message: Mapping[str, Any], client: Client | None) -> None:
         """Answer a message when those before it are answered; a later one of the same kind replaces it."""
+        self._waiting.pop((client, verb), None)  # so that it is the last
         self._waiting[client, verb] = verb, message, client
         if self._current is not None or self._process is None:
             self._busy(verb, client, "waiting for its turn" if self._current else "starting a process of its own")
@@ -211,9 +193,9 @@ class Space(Panel):
         if self._process is None:
             later = self.session.later
             process = self._process = TracingProcess(lambda reply: later(lambda: self._replied(process, reply)))
+        view = View.of(self.session, run) if verb in ("paths", "tree", "guide") else None
+        self._process.send(Order(self._number + 1, verb, message, scene, view))
         self._has, self._number, self._current = self._scenes, self._number + 1, (verb, message, client)
-        view = View.of(self.session, run) if verb in ("paths", "tree") else None
-        self._process.send(Order(self._number, verb, message, scene, view))
 
     def _replied(self, process: TracingProcess, reply: Reply) -> None:
         """Take a reply of the process, unless it is about a scene or an order of the past."""

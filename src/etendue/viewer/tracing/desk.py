@@ -16,7 +16,7 @@ from etendue.transport import Guide, Rays
 from ..camera import Pose
 from ..figures import particles, paths, trees
 from ..figures.solution import LiveSolution, SavedSolution, ShownSolution
-from ..protocol import number, text
+from ..protocol import number, numbers, text
 from ..refining import Refinement
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -25,6 +25,8 @@ Send = Callable[[str, Arrays, Mapping[str, Any]], object]
 
 #: Most paths that are drawn, and most light paths that make photons.
 _MOST_PATHS, _MOST_PHOTONS = 2000, 50_000
+#: Rows of the picture of a guide's directions.
+_ROWS = 64
 #: Radius of a hash grid, relative to half the diagonal of the scene.
 _REACH = 0.02
 
@@ -40,14 +42,16 @@ class Desk:
         self._seed = 0
 
     def handle(self, verb: str, message: Mapping[str, Any], picture: Callable[[], Refinement], send: Send) -> None:
-        """Answer ``paths``, ``photons``, ``tree`` by ``send``; ``solve`` and ``stop`` radiosity, for all pages.
-        ``picture``: returns the refinement of the picture, with its prepared method."""
+        """Answer ``paths``, ``photons``, ``tree``, ``guide`` by ``send``; ``solve`` and ``stop`` radiosity, for all
+        pages. ``picture``: returns the refinement of the picture, with its prepared method."""
         if verb == "paths":
             self._paths(message, picture, send)
         elif verb == "photons":
             self._photons(message, send)
         elif verb == "tree":
             self._tree(message, picture, send)
+        elif verb == "guide":
+            self._directions(message, picture, send)
         else:
             self.close()
             if verb == "solve":
@@ -124,16 +128,19 @@ class Desk:
         elif kind == "boxes":
             found = trees.multipath_boxes(self._problem)
         elif kind == "guide":
-            guide = getattr(picture().method, "guide", None)
-            if not isinstance(guide, Guide):
-                raise OptionError("the picture has no guide: render it by guided")
-            found = trees.guide_cells(guide)
+            found = trees.guide_cells(_guide(picture()))
         elif kind == "kd-tree":
             found = trees.kd_tree(self._hits(message)["points"])
         else:
             reach = number(message, "radius", 0.0) * self._problem.space.scale or _REACH * Pose.of(self._problem).size
             found = trees.hash_grid(self._hits(message)["points"], reach)
         send("trees", found, {"tree": kind})
+
+    def _directions(self, message: Mapping[str, Any], picture: Callable[[], Refinement], send: Send) -> None:
+        guide = _guide(picture())
+        cell = guide.cell_at(numbers(message, "position", 3), numbers(message, "normal", 3))
+        about = {"cell": cell, "cells": guide.cells, "facing": int(guide.boxes()[2][cell])}
+        send("guide", {"density": guide.picture(cell, _ROWS)}, about | {"width": 2 * _ROWS, "height": _ROWS})
 
     # ------------------------------------------------------------------ radiosity
 
@@ -154,6 +161,14 @@ class Desk:
         whole = max((luminance * areas).sum(), 1e-30)
         relative = float((error * areas).sum() / whole) if live.error is not None else None
         self._tell("values", values, {"bundles": live.bundles, "relative": relative, "done": live.is_done})
+
+
+def _guide(main: Refinement) -> Guide:
+    """The guide of a picture's method. Raises :class:`OptionError` if it has none."""
+    guide = getattr(main.method, "guide", None)
+    if not isinstance(guide, Guide):
+        raise OptionError("the picture has no guide: render it by guided")
+    return guide
 
 
 def _count(message: Mapping[str, Any], most: int) -> int:

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from etendue.core import SceneError, describe
+
 from .orders import Order
 
 #: Starts the process with the modules that this one can import.
@@ -35,15 +37,19 @@ class TracingProcess:
 
     def __init__(self, reply: Callable[[Reply], object]) -> None:
         self._tell = reply
-        self._orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
+        self._orders: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         pipe = subprocess.PIPE
         self._process = subprocess.Popen([sys.executable, "-c", _MAIN.format(sys.path)], stdin=pipe, stdout=pipe)
         for work in (self._write, self._read):
             threading.Thread(target=work, name="etendue-tracing", daemon=True).start()
 
     def send(self, order: Order) -> None:
-        """Send an order, without waiting: the process reads it when it has started."""
-        self._orders.put(order)
+        """Send an order, without waiting: the process reads it when it has started. Raises :class:`SceneError` for
+        objects that cannot be sent."""
+        try:
+            self._orders.put(pickle.dumps(order))
+        except Exception as error:  # whatever an object raises that cannot be pickled
+            raise SceneError(describe(error)) from error
 
     def close(self) -> None:
         """End the process at once."""
@@ -55,7 +61,7 @@ class TracingProcess:
         assert stream is not None
         with contextlib.suppress(OSError), stream:  # the reader tells that the process has ended
             while (order := self._orders.get()) is not None:
-                pickle.dump(order, stream)
+                stream.write(order)
                 stream.flush()
 
     def _read(self) -> None:

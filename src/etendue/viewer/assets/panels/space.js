@@ -96,7 +96,7 @@ export default function (host) {
     paths.pick(found);
     if (state?.panels.space?.guided && found.point) host.send('guide', { position: found.point, normal: found.normal });
   });
-  const notes = { paths: paths.note, photons: photonsNote, tree: treesNote, solve: solveNote };
+  const notes = { paths: paths.note, photons: photonsNote, tree: treesNote, solve: solveNote, guide: guideNote };
   const waits = {};
   host.on('busy', ({ verb, text }) => {
     const note = notes[verb];
