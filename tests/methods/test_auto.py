@@ -15,7 +15,7 @@ from etendue import scene
 from etendue.core import RELATIVE_EPSILON, CheckpointError
 from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
 from etendue.methods.auto import method as auto
-from etendue.methods.bidirectional_settings import BidirectionalSettings
+from etendue.methods.bidirectional import BidirectionalSettings
 from etendue.transport import TILE, Candidate
 
 PATH = FIXED["path"]
@@ -115,10 +115,7 @@ def test_moments_are_those_of_the_candidate(estimated, name):
     counts, images = BRUTE[name], []
     method = estimated[0].method
     for iteration in range(100, 140):
-        if counts.light_paths:
-            method._vcm.use(counts)
-        render = method._vcm.render_pass if counts.light_paths else method._path
-        images.append(render(iteration, 1, SAMPLES)[0]["image"] / SAMPLES)
+        images.append(method._rendered(counts, iteration, 1, SAMPLES)[0]["image"] / SAMPLES)
     images = np.stack(images).astype(float)
     foreseen = []
     for what in (one.method._learned for one in estimated):
@@ -154,7 +151,7 @@ def test_path_tracing_has_the_roulette_that_its_moments_are_of():
     room = scene.load("ajar", size=(24, 16))
     learning, fixed = (prepared(room, "auto", samples_per_pass=4, choice=choice) for choice in ("learn", "path"))
     go(learning, 1)
-    rays = [one.method._path(5, 1, 4)[1]["rays"] for one in (learning, fixed)]
+    rays = [one.method._rendered(FIXED["path"], 5, 1, 4)[1]["rays"] for one in (learning, fixed)]
     assert rays[0] < 0.9 * rays[1]
 
 

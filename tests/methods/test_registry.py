@@ -68,7 +68,7 @@ def test_derived_methods_have_integrators_of_their_own():
     ("attributes", "text"),
     [
         ({"name": "path"}, "the name 'path' is used by etendue.methods.path.Path"),
-        ({"plugin": "vcm"}, "is used by etendue.methods.bidirectional.Vcm"),
+        ({"plugin": "vcm"}, "is used by etendue.methods.bidirectional.variants.Vcm"),
         ({"Settings": None}, "needs Settings"),
         ({"name": "My method"}, "small letters"),
         ({"citations": ("Nobody2020",)}, "cites Nobody2020"),

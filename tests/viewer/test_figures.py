@@ -8,11 +8,12 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue.core import OptionError, use_variant
+from etendue import methods
+from etendue.core import OptionError, prepared, use_variant
 from etendue.density import HashGrid, KdTree
 from etendue.radiosity import find_objects, save_solution, scene_patches
 from etendue.scene import LightTable, load
-from etendue.transport import Event, PathRecorder
+from etendue.transport import Edge, Event
 from etendue.viewer.figures import meshes, packing, paths, solution, trees
 
 
@@ -67,24 +68,31 @@ def test_spheres_and_boxes_hold_the_objects_of_a_scene() -> None:
 def test_photons_have_the_power_of_the_lights() -> None:
     """In a closed room every path leaves a photon of its first edge, unless it goes through glass."""
     problem = load("cornell-box", size=(8, 8))
-    tracks = PathRecorder(problem, 1).from_light(None, 3000)
-    found = paths.hits(tracks)
-    closed = tracks.events[:, 1] != Event.LEFT
-    assert len(found["points"]) == closed.sum() and (found["number"] == 1).all()
-    np.testing.assert_allclose(
-        found["power"].sum(axis=0), tracks.throughput[closed, 0].mean(axis=0) * closed.mean(), rtol=1e-4
-    )
+    rays = methods.LightRays(problem).trace(None, 3000)
+    rays = rays[rays.number == 1]
+    found = paths.hits(rays, 3000)
+    closed = rays.event != Event.LEFT
+    assert len(found["points"]) == closed.sum() > 1000 and (found["number"] == 1).all()
+    np.testing.assert_allclose(found["power"].sum(axis=0), rays.value[closed].sum(axis=0) / 3000, rtol=1e-4)
     assert found["power"].sum() / 3 < 1.05 * LightTable(problem.scene).total_power
 
 
 def test_lines_are_the_edges_of_the_paths() -> None:
-    tracks = PathRecorder(load("cornell-glass", size=(16, 16)), 4).from_camera(8.0, 8.0, 50)
-    found = paths.lines(tracks)
-    assert len(found["edges"]) == tracks.lengths.sum()
-    first = found["number"] == 1
-    np.testing.assert_array_equal(found["edges"][first, 0], tracks.positions[found["path"][first], 0])
-    assert np.isfinite(found["edges"]).all() and np.isfinite(found["lights"]).all()
-    assert (found["brought"] > 0).all() and (found["throughput"] >= 0).all()
+    settings = methods.Path.Settings(max_depth=4, samples_per_pass=1)
+    method = prepared(methods.Path(settings), load("cornell-glass", size=(16, 16)), 0)
+    rays = methods.rays_through(method, 8.0, 8.0, 50)
+    assert rays is not None
+    found = paths.lines(rays)
+    np.testing.assert_array_equal(found["edges"], np.stack([rays.start, rays.end], axis=1))
+    assert (found["kind"] == Edge.CAMERA).sum() >= 50 and (found["kind"] == Edge.NEXT_EVENT).sum() > 10
+    assert np.isfinite(found["edges"]).all() and (found["value"] >= 0).all() and found["number"].max() <= 4
+
+
+def test_of_many_edges_of_a_kind_some_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    rays = methods.LightRays(load("cornell-box", size=(8, 8))).trace(None, 100)
+    monkeypatch.setattr(paths, "_MOST", 30)
+    found = paths.lines(rays)
+    assert 15 < len(found["edges"]) <= 30 < len(rays)
 
 
 def test_the_mesh_of_a_scene_has_the_area_of_its_shapes() -> None:

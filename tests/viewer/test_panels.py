@@ -198,9 +198,11 @@ def test_what_the_3d_view_asks_for(viewer):
         mesh = arrays(message, data)
         assert mesh["triangles"].shape[1:] == (3, 3) and mesh["shape"].max() < len(message["names"])
         page.send("space.paths", source="camera", x=0.5, y=0.5, count=20, depth=4)
-        assert "compiled" in (await page.until("note"))[0]["text"]  # before the wait
+        assert "process" in (await page.until("space.busy"))[0]["text"]
+        assert "compiled" in (await page.until("space.busy", lambda m: "compiled" in m["text"]))[0]["text"]
         message, data = await page.until("space.paths")
-        assert len(arrays(message, data)["edges"]) >= 20
+        assert len(arrays(message, data)["edges"]) >= 20 and message["method"] == message["shown"] == "path"
+        await page.until("space.busy", lambda m: m == {"type": "space.busy", "verb": "paths", "text": ""})
         page.send("space.photons", count=200, file="")
         message, data = await page.until("space.photons")
         found = arrays(message, data)

@@ -19,7 +19,7 @@ from .frozen import Frozen
 from .log import logger
 from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
-from .method import Carrying, Method, Pass, Replica, Result, State, prepared
+from .method import Carrying, Method, Pass, Replica, Result, State, on_host, prepared
 from .notebooks import InNotebooks
 from .progress import Progress, format_count, format_number, format_rate, format_seconds, format_shares
 from .records import PassKey, Record, RecordFile
@@ -85,6 +85,7 @@ __all__ = [
     "library",
     "logger",
     "on_device",
+    "on_host",
     "prepared",
     "seed_key",
     "set_threads",

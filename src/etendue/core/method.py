@@ -35,6 +35,19 @@ class Result(InNotebooks):
 State = Mapping[str, Any]
 
 
+def on_host(state: Any) -> Any:
+    """A state with arrays of the device as NumPy's."""
+    if isinstance(state, np.generic):
+        return state.item()
+    if hasattr(state, "__array__"):
+        return np.array(state)
+    if isinstance(state, Mapping):
+        return {name: on_host(value) for name, value in state.items()}
+    if isinstance(state, (list, tuple)):
+        return [on_host(value) for value in state]
+    return state
+
+
 @dataclass(frozen=True)
 class Pass:
     """The result of one ``step``: a measurement, and the state for the next pass. Both are added, saved or dropped

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, ClusterError, EtendueError, Measurement, Method, State, describe, set_threads
+from etendue.core import Array, ClusterError, EtendueError, Measurement, Method, State, describe, on_host, set_threads
 from etendue.engine import replica_seed
 
 from .content import Store
@@ -371,19 +371,6 @@ def _sum(total: Measurement | None, other: Measurement) -> Measurement:
         return other
     total += other
     return total
-
-
-def on_host(state: Any) -> Any:
-    """A state with arrays of the device as NumPy's."""
-    if isinstance(state, np.generic):
-        return state.item()
-    if hasattr(state, "__array__"):
-        return np.array(state)
-    if isinstance(state, Mapping):
-        return {name: on_host(value) for name, value in state.items()}
-    if isinstance(state, (list, tuple)):
-        return [on_host(value) for value in state]
-    return state
 
 
 def _failed(error: Exception, refused: bool = False) -> Failed:

@@ -17,6 +17,7 @@ from .path import Path
 from .photon.hits import photon_hits
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
+from .rays import MOST_RECORDED, LightRays, ShowsRays, rays_through
 from .registry import by_plugin, get, register, table
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ else:
 
 
 __all__ = [
+    "MOST_RECORDED",
     "Auto",
     "Bidirectional",
     "Bpm",
@@ -52,12 +54,14 @@ __all__ = [
     "ImageMethod",
     "ImageSettings",
     "Layer",
+    "LightRays",
     "LightTracing",
     "MetropolisParticles",
     "ParticleTracing",
     "Path",
     "Pm",
     "Ppm",
+    "ShowsRays",
     "Sppm",
     "StratifiedPath",
     "Vcm",
@@ -69,6 +73,7 @@ __all__ = [
     "get",
     "make_box_tracing",
     "photon_hits",
+    "rays_through",
     "register",
     "table",
     "total",

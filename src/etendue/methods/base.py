@@ -35,6 +35,8 @@ from etendue.transport import (
     CameraPath,
     CameraSampler,
     FirstHits,
+    LightWalk,
+    Recording,
     Splats,
     Visibility,
     Walker,
@@ -160,6 +162,7 @@ class ImageMethod(ABC):
     in_the_dark: ClassVar[type[ImageMethod] | None] = None
     #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+    recording = Recording()  #: of the rays of the next walks
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
@@ -273,6 +276,7 @@ class ImageMethod(ABC):
     def walker(self, kind: type[W], **own: Any) -> W:
         """A walker of class ``kind`` for the prepared scene; ``own``: fields to add, or to override."""
         common: dict[str, Any] = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
+        common["rays"] = self.recording.light if issubclass(kind, LightWalk) else self.recording.camera
         return kind(**(common | {"rr_depth": self.settings.rr_depth} | own))
 
     def camera_numbers(

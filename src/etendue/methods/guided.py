@@ -24,14 +24,23 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, CheckpointError, Measurement, Result, State, copied_to_device, setting
+from etendue.core import (
+    Carrying,
+    CheckpointError,
+    Measurement,
+    Result,
+    SampleSource,
+    State,
+    copied_to_device,
+    setting,
+)
 from etendue.film import Component
 from etendue.scene import Problem
-from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, TrainingSamples
+from etendue.transport import FOUND_UNITS, FirstHits, Guide, GuidedPath, GuidedWalk, TrainingSamples
 
 from .base import STEP_LANES, ImageSettings, Layer, total
 from .ending import EndsInMap
-from .path import EndingPathSettings, Path
+from .path import EndingPathSettings, Path, camera_paths
 from .store import STORE_SHARE
 
 #: Most camera paths of a pass that give training samples.
@@ -124,23 +133,9 @@ class Guided(Carrying, EndsInMap):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = self.camera_numbers(lanes, samples, seed, iteration)
-        ray, importance, _ = self.camera.primary(lanes // samples, source)
         training = self._generation < self.settings.generations
         collected = TrainingSamples(self._guide, lanes, self._stride(len(lanes)), self._unit, training)
-        o = self.settings
-        walk = self.walker(
-            GuidedWalk,
-            proposal=o.proposal,
-            guide=self._guide,
-            weights=o.direct_weights,
-            training=collected,
-            first=self.first_hits(lanes, iteration),
-        )
-        path = walk.trace(ray, source, **self.path_fields())
-        if (light := self.light_of_map(path)) is not None:
-            walk.add(path, light, mi.Bool(True), Component.INDIRECT)
-        path.weigh(importance)
+        path = self._paths(lanes, samples, iteration, seed, collected)
         radiance, bad = self.kept_layers(path)
         found = dr.select(dr.isfinite(path.found), path.found, 0.0)
         dr.eval(radiance, path.rays, bad, found)
@@ -148,6 +143,29 @@ class Guided(Carrying, EndsInMap):
             self._learn(collected, found)
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return self.images(radiance, seed, iteration), counters
+
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        untrained = TrainingSamples(self._guide, lanes, 1, 0.0, False)
+        dr.eval(self._paths(lanes, samples, iteration, seed, untrained).radiance)
+
+    def _paths(
+        self, lanes: mi.UInt32, samples: int, iteration: int, seed: int, collected: TrainingSamples
+    ) -> GuidedPath:
+        """The camera paths ``lanes`` of a pass with ``samples`` in a pixel, not yet evaluated."""
+
+        def trace(ray: mi.Ray3f, source: SampleSource, first: FirstHits | None) -> GuidedPath:
+            o = self.settings
+            own = {"proposal": o.proposal, "guide": self._guide, "weights": o.direct_weights, "training": collected}
+            walk = self.walker(GuidedWalk, **own, first=first)
+            path = walk.trace(ray, source, **self.path_fields())
+            if (light := self.light_of_map(path)) is not None:
+                walk.add(path, light, mi.Bool(True), Component.INDIRECT)
+            return path
+
+        path = camera_paths(self, lanes, iteration, seed, samples, trace)
+        assert isinstance(path, GuidedPath)
+        return path
 
     def _stride(self, lanes: int) -> int:
         """Number of paths of which one gives training samples."""

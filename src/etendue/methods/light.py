@@ -27,6 +27,7 @@ from etendue.transport import (
     LearnedEmission,
     LightWalk,
     Mis,
+    Splats,
     SplatSink,
     Techniques,
     learned_emission,
@@ -37,6 +38,7 @@ from etendue.transport import dimensions as dim
 
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
+from .numbers import path_numbers
 
 
 @dataclass(frozen=True)
@@ -83,28 +85,20 @@ class LightTracing(Carrying, ImageMethod):
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
-        techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
-        mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
+        paths = self._paths(samples)
         own = REFLECTED if self.settings.components else ("splat",)
         scattered, seen = (
-            SplatSink(
-                splats=self.splats(seed, iteration, len(each)),
-                paths_per_sample=mis.paths_per_sample,
-                components=len(each) > 1,
-            )
-            for each in (own, ("emission",))
+            self._sink(self.splats(seed, iteration, len(each)), paths, len(each) > 1) for each in (own, ("emission",))
         )
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
-            guided = self._learning.fields(True, lanes.first) if self._learning else {}
-            walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered, **guided)
+            walk = self._walk(paths, scattered, lanes.first, learning=True)
             rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
             dr.eval(rays, bad, scattered.splats.array)
             if self._learning:
-                self._learning.add(guided["training"])
+                self._learning.add(walk.training)
             source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
             seen_rays, seen_bad = self._seen_directly(source, lanes.count, seen)
             dr.eval(seen_rays, seen_bad, seen.splats.array)
@@ -116,6 +110,34 @@ class LightTracing(Carrying, ImageMethod):
         if self._learning:
             self._learning.end_pass(sum(layers[name] for name in own[1:]) + layers[own[0]], samples)
         return layers, counters
+
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`: all light paths of a pass, since any may reach a pixel."""
+        paths = self._paths(self.samples_per_iteration)
+        lanes, sink = Lanes(0, min(paths, base.MOST_LIGHT_LANES)), self._sink(self.splats(seed, iteration), paths)
+        rays, _ = self._walk(paths, sink).trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
+        dr.eval(rays, sink.splats.array)
+
+    def trace_from_lights(self, number: mi.UInt32, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        o, paths = self.settings, self._paths(self.samples_per_iteration)
+        source = path_numbers(o.sampler, number, paths, seed, iteration, "light", o.scrambling)
+        dr.eval(self._walk(paths, None).trace(dr.width(number), source))
+
+    def _paths(self, samples: int) -> int:
+        """Light paths of a pass."""
+        return max(1, round(self.settings.light_paths * self.camera.pixels * samples))
+
+    def _sink(self, splats: Splats, paths: int, components: bool = False) -> SplatSink:
+        per_sample = dr.opaque(mi.Float, paths / self.samples_per_iteration)
+        return SplatSink(splats=splats, paths_per_sample=per_sample, components=components)
+
+    def _walk(self, paths: int, sink: SplatSink | None, first: int = 0, learning: bool = False) -> LightWalk:
+        """The walk of the light paths of a pass, from number ``first`` on."""
+        techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
+        mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / self.samples_per_iteration))
+        own = self._learning.fields(learning, first) if self._learning else {}
+        return self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=sink, **own)
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
         """Connect points on the lights to the camera (s = 1, t = 1). Returns (rays, non-finite values)."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -26,6 +26,9 @@ from etendue.transport import CameraPath, DirectWeights, FirstHits, Proposal, Wa
 
 from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .ending import EndingSettings, EndsInMap
+
+#: Traces paths along camera rays, as :meth:`Path.trace`.
+Trace: TypeAlias = "Callable[[mi.Ray3f, SampleSource, FirstHits | None], CameraPath]"
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,10 @@ class Path(EndsInMap):
         """See :class:`ImageMethod`."""
         return path_pass(self, iteration, seed, samples, self.trace)
 
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        dr.eval(camera_paths(self, lanes, iteration, seed, samples, self.trace).radiance)
+
     def trace(self, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
         """Camera paths that begin with ``ray``, in their final state; their first hits are added to ``first``."""
         walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
@@ -94,18 +101,26 @@ def path_pass(
     iteration: int,
     seed: int,
     samples: int,
-    trace: Callable[[mi.Ray3f, SampleSource, FirstHits | None], CameraPath],
+    trace: Trace,
 ) -> tuple[dict[str, Layer], dict[str, float]]:
     """``render_pass`` of a method by camera paths; ``trace``: as :meth:`Path.trace`."""
     lanes = dr.arange(mi.UInt32, method.camera.pixels * samples)
-    source = method.camera_numbers(lanes, samples, seed, iteration)
-    ray, importance, _ = method.camera.primary(lanes // samples, source)
-    path = trace(ray, source, method.first_hits(lanes, iteration))
-    path.weigh(importance)
+    path = camera_paths(method, lanes, iteration, seed, samples, trace)
     radiance, bad = method.kept_layers(path)
     dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
     counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
     return method.images(radiance, seed, iteration), counters
+
+
+def camera_paths(
+    method: ImageMethod, lanes: mi.UInt32, iteration: int, seed: int, samples: int, trace: Trace
+) -> CameraPath:
+    """The camera paths ``lanes`` of a pass, not yet evaluated; arguments as of :func:`path_pass`."""
+    source = method.camera_numbers(lanes, samples, seed, iteration)
+    ray, importance, _ = method.camera.primary(lanes // dr.opaque(mi.UInt32, samples), source)
+    path = trace(ray, source, method.first_hits(lanes, iteration))
+    path.weigh(importance)
+    return path
 
 
 def traced(ray: mi.Ray3f, walker: Walker, weights: DirectWeights, source: SampleSource, **own: Any) -> CameraPath:

@@ -38,6 +38,7 @@ from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .lamps.points import point_on
 from .places import Places, first_smooth
+from .rays import Edge, Event, RayRecorder, Rays, Recording, WalkRecorder, joined_to, recorded
 from .scattering import (
     Evaluated,
     Proposal,
@@ -59,7 +60,6 @@ from .schemes.cells import CellEmission, ImportancePilot
 from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
 from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
-from .tracks import MOST_PATHS, Event, PathRecorder, Tracks
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
 from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_fields, ones
@@ -76,7 +76,6 @@ __all__ = [
     "GUIDE_CHOICES",
     "MANY",
     "MOST_LIGHTS",
-    "MOST_PATHS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
@@ -98,6 +97,7 @@ __all__ = [
     "Counts",
     "DirectSample",
     "DirectWeights",
+    "Edge",
     "Emission",
     "EmissionGuide",
     "EmissionScheme",
@@ -132,12 +132,14 @@ __all__ = [
     "MapEnd",
     "Mis",
     "Moments",
-    "PathRecorder",
     "Photon",
     "Photons",
     "Places",
     "Proposal",
     "Pyramid",
+    "RayRecorder",
+    "Rays",
+    "Recording",
     "Scattered",
     "SingleContribution",
     "SingleTechnique",
@@ -148,12 +150,12 @@ __all__ = [
     "StratifiedSource",
     "SubPath",
     "Techniques",
-    "Tracks",
     "TrainingSamples",
     "TransportFunctions",
     "UniformLights",
     "Vertex",
     "Visibility",
+    "WalkRecorder",
     "WalkVertex",
     "Walker",
     "ambient_scene",
@@ -172,11 +174,13 @@ __all__ = [
     "irradiance_gradients",
     "is_emissive",
     "is_smooth",
+    "joined_to",
     "learned_emission",
     "light_of_map",
     "needs_interaction",
     "ones",
     "point_on",
+    "recorded",
     "roulette",
     "sample_direct",
     "scatter_camera",

@@ -39,6 +39,7 @@ class Scattered:
     is_delta: mi.Bool
     is_null: mi.Bool  #: the null component was sampled: the path crosses the surface
     active: mi.Bool
+    by_guide: mi.Bool | None = None  #: whether a guide has sampled it; None without one
 
 
 @dataclass

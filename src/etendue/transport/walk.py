@@ -29,6 +29,7 @@ from .firsthits import FirstHits
 from .guiding.departure import Departures
 from .guiding.lights import LocalLights
 from .loop import loop_traced_once
+from .rays import Edge, WalkRecorder
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .vertex import WalkVertex
 from .visibility import Visibility
@@ -156,6 +157,7 @@ class Walker:
     proposal: Proposal = scatter_camera  #: samples directions
     departures: Departures | None = None  #: learned directions of emission, for its densities
     first: FirstHits | None = None  #: records the surfaces that the first edges hit
+    rays: WalkRecorder | None = None  #: records all edges
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
@@ -166,17 +168,19 @@ class Walker:
         hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
-        valid = si.is_valid()
-        return WalkVertex(
+        vertex = WalkVertex(
             si=si,
             bsdf=self.visibility.material(si, s.ray),
             number=mi.UInt32(s.depth),
             hit=hit,
             incoming=s.ray.d,
             distance=s.travelled + si.t,
-            valid=valid,
+            valid=si.is_valid(),
             proposal=self.proposal,
         )
+        if self.rays is not None:
+            self.rays.arrived(s, vertex)
+        return vertex
 
     def ends(self, vertex: WalkVertex) -> mi.Bool:
         """Whether paths end in a map at a vertex, unless they go on through its mirror or glass."""
@@ -222,7 +226,10 @@ class Walker:
         tested = light.active & ~dr.all(contribution == 0.0) & wanted
         s.rays += ones(tested)
         visible, transmittance = self.visible(vertex, light.target, vertex.number + 1, tested)
-        return contribution * transmittance, visible
+        contribution *= transmittance
+        if self.rays is not None:
+            self.rays.joined(Edge.NEXT_EVENT, vertex, light.target, contribution, visible)
+        return contribution, visible
 
     def visible(
         self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool
@@ -261,6 +268,8 @@ class Walker:
         if s.seen is not None:
             s.seen = self.keep_if_null(scattered, s.seen, after_scattering(s.seen, scattered.is_delta))
         s.active &= scattered.active & alive
+        if self.rays is not None:
+            self.rays.scattered(vertex, scattered, s.active)
         return factor
 
 

@@ -214,15 +214,27 @@ class Pose:
 
 def held_back(problem: Problem, before: Pose, after: Pose) -> Pose:
     """``after``, or ``before`` if a surface is between the two places of the camera."""
+    import drjit as dr
     import mitsuba as mi
 
     way = after.origin - before.origin
     length = float(np.linalg.norm(way))
     if length == 0.0:
         return after
-    start, step = mi.Point3f(*before.origin.tolist()), mi.Vector3f(*(way / length).tolist())
-    ray = mi.Ray3f(start, step, length, 0.0, [])
+    ends = mi.Point3f(*before.origin.tolist()), mi.Vector3f(*(way / length).tolist()), mi.Float(length)
+    dr.make_opaque(ends)  # as literals they would make a kernel for each movement
+    ray = mi.Ray3f(*ends, 0.0, [])
     return before if bool(np.asarray(problem.scene.ray_test(ray)).ravel()[0]) else after
+
+
+def is_placed(sensor: mi.Sensor, pose: Pose) -> bool:
+    """Whether a sensor has the pose. It then need not be placed again: prepared methods share its variables, and
+    kernels with other ones are compiled anew."""
+    values = dict(graph.contents(sensor).values)
+    fov = np.asarray(values.get("x_fov", pose.fov), dtype=np.float32)
+    return bool(
+        (_matrix(sensor) == np.float32(pose.matrix())).all() and (fov == np.asarray(pose.fov, np.float32)).all()
+    )
 
 
 def place(sensor: mi.Sensor, pose: Pose) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -15,7 +16,7 @@ from etendue.engine import Budget
 from etendue.scene import BundledScene, Problem, graph
 
 from . import saving
-from .camera import Pose, held_back, place
+from .camera import Pose, held_back, is_placed, place
 from .clients import Client
 from .comparing import Comparison
 from .protocol import number, numbers, text
@@ -102,7 +103,7 @@ def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
             "emits": bool(shape is not None and shape.is_emitter()),
             "position": problem.space.to_scene(point).tolist(),
             "point": point.tolist(),  # in render space, for `project`
-            "normal": _triple(si.sh_frame.n).tolist(),
+            "normal": (_triple(si.sh_frame.n) * math.copysign(1.0, _triple(si.wi)[2])).tolist(),  # towards the camera
             "uv": np.asarray(si.uv, dtype=float).ravel().tolist(),
             "depth": float(np.asarray(si.t).ravel()[0]) / problem.space.scale,
             "triangle": int(np.asarray(si.prim_index).ravel()[0]),
@@ -245,12 +246,16 @@ def _check_place(x: float, y: float) -> None:
 
 def _seen_at(problem: Problem, pose: Pose, x: float, y: float) -> tuple[mi.SurfaceInteraction3f, Array | None]:
     """(the surface at a place in the picture, its point in render space; ``None`` if there is none)."""
+    import drjit as dr
     import mitsuba as mi
 
     _check_place(x, y)
-    place(problem.sensor, pose)
-    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    if not is_placed(problem.sensor, pose):
+        place(problem.sensor, pose)
+    on_film = mi.Point2f(dr.opaque(mi.Float, x), dr.opaque(mi.Float, y))  # literals would make a kernel for each place
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, on_film, mi.Point2f(0.5))
     si = problem.scene.ray_intersect(ray)
+    dr.eval(si)
     return si, _triple(si.p) if bool(np.asarray(si.is_valid()).ravel()[0]) else None
 
 

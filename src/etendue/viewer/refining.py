@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from etendue import film, methods
-from etendue.core import Measurement, Replica, Result, Settings, prepared
+from etendue.core import Measurement, Replica, Result, Settings, State, prepared
 from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
 from etendue.scene import Problem
+from etendue.transport import Rays
 
 #: Growth of the number of passes between two estimates of the noise.
 _CADENCE = 1.05
@@ -95,6 +96,23 @@ class Refinement:
         if estimate is not None:
             return estimate(self.measurement)
         return self.measurement.relative_error() if self.measurement.has_error() else None
+
+    @property
+    def state(self) -> State:
+        """The state of the method after the last pass."""
+        return self._replica.state
+
+    def enter(self, state: State, passes: int) -> None:
+        """Take the state after a number of passes that were made elsewhere. Errors as of ``Method.enter``."""
+        self.method.enter(state)
+        self._replica.state, self.passes = state, passes
+
+    def rays(self, x: float, y: float, paths: int) -> Rays | None:
+        """The rays of the next pass through a pixel, see :func:`etendue.methods.rays_through`."""
+        try:
+            return methods.rays_through(self.method, x, y, paths, self.passes, self.seed)
+        finally:
+            self.method.enter({**self.state})  # another object, so that it is loaded again
 
     def result(self) -> Result | None:
         """The picture so far with its layers, ``None`` before the first pass."""

@@ -156,6 +156,10 @@ class Session:
         self._moving_until = time.monotonic() + _REST
         self.again()
 
+    def later(self, work: Callable[[], None]) -> None:
+        """Run ``work`` in the session's thread, after the current pass. May be called from any thread."""
+        self._inbox.put(work)
+
     def again(self) -> None:
         """Start the picture anew, because scene, camera or method has changed."""
         self.main = self.main if isinstance(self.main, Still) else None

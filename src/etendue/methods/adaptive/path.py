@@ -9,6 +9,7 @@ sec. 5.4.1, 5.7.4].
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,7 +20,7 @@ import mitsuba as mi
 from etendue.core import OptionError, setting
 from etendue.film import Component
 from etendue.scene import Problem
-from etendue.transport import CameraPath, CameraSampler, FirstHits, Walker, WalkVertex
+from etendue.transport import CameraPath, CameraSampler, FirstHits, Recording, Walker, WalkVertex
 from etendue.transport import dimensions as dim
 
 from .. import radius as radii
@@ -103,7 +104,8 @@ class AdaptivePath(EndsInMap):
         shot = self._tracer.shoot(iteration, seed, self._light_paths)
         positions, _, held = shot.vertices.positions()
         radius = radii.reduced(self._discs.largest, iteration, self.settings.alpha)
-        self._maps = PhotonGrid(shot, positions, held, radius, self._box, by_kind=self.settings.components)
+        by_kind, recorder = self.settings.components, self.recording.camera
+        self._maps = PhotonGrid(shot, positions, held, radius, self._box, by_kind=by_kind, recorder=recorder)
         self._limit = dr.opaque(mi.Float, radius * radius)
         return shot.rays
 
@@ -121,6 +123,22 @@ class AdaptivePath(EndsInMap):
         return self.lights.left_by_pick if self.settings.merge else None
 
     # ------------------------------------------------------------------ camera paths
+
+    @abstractmethod
+    def numbers(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> NumberedSource:
+        """Random numbers of the camera paths ``lanes`` in a pass with ``samples`` of them in each pixel."""
+
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        recording, self.recording = self.recording, Recording()  # without the paths that explore
+        source = self.numbers(lanes, samples, iteration, seed)
+        self.recording = recording
+        self.map_light(iteration, seed)
+        dr.eval(self.trace(lanes // dr.opaque(mi.UInt32, samples), source).radiance)
+
+    def trace_from_lights(self, number: mi.UInt32, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        self._tracer.trace_again(number, iteration, seed, self._light_paths)
 
     def trace(
         self,

@@ -124,11 +124,9 @@ class StratifiedPath(AdaptivePath):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         self._explored = 0.0
-        regions = [self._regions(iteration, seed, samples)] if self._groups else []
-        mapping_rays = self.map_light(iteration, seed)
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        base = self._even_choice(self.camera_numbers(lanes, samples, seed, iteration), lanes, samples)
-        source = AdaptiveSource(base, self._groups, [[r] for r in regions], mi.UInt32(0), self.left_by_pick())
+        source = self.numbers(lanes, samples, iteration, seed)
+        mapping_rays = self.map_light(iteration, seed)
         state = self.trace(lanes // samples, source, first=self.first_hits(lanes, iteration))
         radiance, bad = self.kept_layers(state)
         dr.eval(radiance, state.rays, bad)
@@ -136,9 +134,15 @@ class StratifiedPath(AdaptivePath):
             "rays": total(state.rays) + self._explored + mapping_rays,
             "paths": float(len(lanes)),
             "nonfinite": total(bad),
-            "regions": float(sum(map(len, regions))),
+            "regions": float(len(self._planned[1]) if self._planned else 0),
         }
         return self.images(radiance, seed, iteration), counters
+
+    def numbers(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> AdaptiveSource:
+        """See :class:`AdaptivePath`; with the plan of a pass."""
+        regions = [[self._regions(iteration, seed, self.samples_per_iteration)]] if self._groups else []
+        base = self._even_choice(self.camera_numbers(lanes, samples, seed, iteration), lanes, samples)
+        return AdaptiveSource(base, self._groups, regions, mi.UInt32(0), self.left_by_pick())
 
     def _even_choice(self, base: SampleSource, lanes: mi.UInt32, samples: int) -> SampleSource:
         """Random numbers of which the one that selects a region is stratified over the samples of a pixel. With

@@ -145,10 +145,8 @@ class VegasPath(Carrying, AdaptivePath):
         """See :class:`ImageMethod`."""
         mapping_rays = self.map_light(iteration, seed)
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        pixel = lanes // samples
-        base = self.camera_numbers(lanes, samples, seed, iteration)
-        source = AdaptiveSource(base, self._groups, self._densities, self._row(pixel), self.left_by_pick())
-        state = self.trace(pixel, source, learning=True, first=self.first_hits(lanes, iteration))
+        source = self.numbers(lanes, samples, iteration, seed)
+        state = self.trace(lanes // samples, source, learning=True, first=self.first_hits(lanes, iteration))
         radiance, bad = self.kept_layers(state)
         parts = [dr.select(dr.isfinite(part), part, 0.0) for part in state.parts]
         found = [(drawn.group, drawn.bin, part) for drawn, part in zip(source.drawn, parts, strict=True)]
@@ -156,6 +154,11 @@ class VegasPath(Carrying, AdaptivePath):
         self._learn(found)
         counters = {"rays": total(state.rays) + mapping_rays, "paths": float(len(lanes)), "nonfinite": total(bad)}
         return self.images(radiance, seed, iteration), counters
+
+    def numbers(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> AdaptiveSource:
+        """See :class:`AdaptivePath`."""
+        base, row = self.camera_numbers(lanes, samples, seed, iteration), self._row(lanes // samples)
+        return AdaptiveSource(base, self._groups, self._densities, row, self.left_by_pick())
 
     def _row(self, pixel: mi.UInt32) -> mi.UInt32:
         """Number of a pixel's tile."""

@@ -27,6 +27,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -37,9 +38,8 @@ from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, 
 
 from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
-from ..bidirectional import Vcm
-from ..bidirectional_settings import BidirectionalSettings
-from ..path import Path, path_pass, traced
+from ..bidirectional import BidirectionalSettings, Vcm
+from ..path import Path, Trace, camera_paths, path_pass, traced
 from .efficiency import LEARNING, PHOTON, Learned, Work, tile_pixels
 from .widening import Trial
 
@@ -225,6 +225,7 @@ class Auto(Carrying, ImageMethod):
             self._vcm_first = vcm.start()
             vcm.enter(self._state_of_vcm())
             self._vcm = vcm
+        self._vcm.recording = self.recording
         return self._vcm
 
     @property
@@ -257,15 +258,15 @@ class Auto(Carrying, ImageMethod):
     ) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass with given counts; ``widening``: factor on the radius, 0 for that of the trial."""
         if counts.light_paths == 0.0:
-            return self._path(iteration, seed, samples)
+            return path_pass(self, iteration, seed, samples, self._tracing())
         vcm = self._estimator()
         vcm.use(counts)
         vcm.widening = widening or self._trial.factor
         vcm._hits = self._hits
         return vcm.render_pass(iteration, seed, samples)
 
-    def _path(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
-        """A pass of path tracing."""
+    def _tracing(self) -> Trace:
+        """The function that traces the paths of passes without light paths."""
         lights = self._lights_of_paths()
         # Roulette as in the passes that predict the error; with fixed counts, as in the method ``path``.
         own: dict[str, Any] = {}
@@ -276,7 +277,20 @@ class Auto(Carrying, ImageMethod):
             walker = self.walker(Walker, lights=lights, first=first, **own)
             return traced(ray, walker, DirectWeights(), source, **self.path_fields())
 
-        return path_pass(self, iteration, seed, samples, trace)
+        return trace
+
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`; with the counts of the next pass."""
+        if self._counts.light_paths == 0.0:
+            dr.eval(camera_paths(self, lanes, iteration, seed, samples, self._tracing()).radiance)
+            return
+        vcm = self._estimator()
+        vcm.use(self._counts)
+        vcm.trace_through(lanes, samples, iteration, seed)
+
+    def trace_from_lights(self, number: mi.UInt32, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        self._estimator().trace_from_lights(number, iteration, seed)
 
     def _lights_of_paths(self) -> LightTable:
         """The lights for path tracing, with the probabilities of the passes that predict its error."""

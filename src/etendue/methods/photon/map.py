@@ -24,7 +24,7 @@ from etendue.transport import Kind, Photons, WalkVertex
 from .. import radius as radii
 from ..base import ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
-from .photons import Peaks, PhotonShot, add_by_kind, no_light, photon_room, reflected_by
+from .photons import Peaks, PhotonShot, add_by_kind, no_light, photon_room, record_merge, reflected_by
 
 #: Most light paths per photon of the setting ``photons``, for scenes in which light paths store few photons.
 _MOST_PATHS_PER_PHOTON = 20
@@ -131,7 +131,9 @@ class Pm(PhotonMapping):
             position, depth = photons.position(photon, active)
             allowed = (depth + s.depth <= self.edges) & (dr.squared_norm(position - si.p) < rim)
             value = reflected_by(photons, photon, vertex, limit, self.settings.kernel, active, peaks)
-            return add_by_kind(flux, dr.select(allowed, value, 0.0), photons, photon, active), found + 1
+            value = dr.select(allowed, value, 0.0)
+            record_merge(self.recording.camera, vertex, photons, photon, value, active)
+            return add_by_kind(flux, value, photons, photon, active), found + 1
 
         start = no_light(self.settings.components), mi.UInt32(0)
         flux, found = tree.within(si.p, limit, start, visit, active)

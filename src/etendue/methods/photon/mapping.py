@@ -52,7 +52,7 @@ class GatherPath(CameraPath):
     found: mi.UInt32  #: photons found at its first gather point
     first: mi.Bool  #: whether it has no gather point yet
     peaked: mi.Bool  #: whether it has scattered in a peak of a smooth component
-    lane: mi.UInt32  #: number of the path; does not change
+    point: mi.UInt32  #: number of the camera path in a pass; does not change
 
 
 class _SelectedSource:
@@ -135,7 +135,7 @@ class PhotonMapping(ImageMethod):
         """See :class:`ImageMethod`."""
         shot = self.shoot(iteration, seed)
         self.build(shot, iteration, seed)
-        path = self._trace("", iteration, seed, samples)
+        path = self._trace("", iteration, seed, self._lanes(), samples)
         radiance, bad = self.kept_layers(path)
         dr.eval(radiance, path.rays, path.found, bad)
         self.finish(path.found)
@@ -147,12 +147,30 @@ class PhotonMapping(ImageMethod):
         }
         return self.images(radiance, seed, 0 if self.fixed_points else iteration), counters
 
-    def _trace(self, role: str, iteration: int, seed: int, samples: int) -> GatherPath:
-        """Camera paths, not yet evaluated."""
-        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        fresh = self.camera_numbers(lanes, samples, seed, iteration, role + "camera")
-        fixed = self.camera_numbers(lanes, samples, seed, 0, role + "camera") if self.fixed_points else fresh
-        ray, importance, _ = self.camera.primary(lanes // samples, fixed)
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        self.build(self.shoot(iteration, seed), iteration, seed)
+        dr.eval(self._trace("", iteration, seed, lanes, samples).radiance)
+
+    def trace_from_lights(self, number: mi.UInt32, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        self.tracer.trace_again(number, iteration, seed, self._light_paths)
+
+    def _lanes(self) -> mi.UInt32:
+        """The camera paths of a pass."""
+        return dr.arange(mi.UInt32, self.camera.pixels * self.samples_per_iteration)
+
+    def _trace(self, role: str, iteration: int, seed: int, lanes: mi.UInt32, samples: int) -> GatherPath:
+        """The camera paths ``lanes`` of ``samples`` in a pixel, not yet evaluated. If a pass has less in a pixel, its
+        gather points are used again and again."""
+        own, points = self.samples_per_iteration, lanes
+        if samples != own:
+            count = dr.opaque(mi.UInt32, samples)
+            points = lanes // count * own + lanes % count % own
+        fresh = fixed = self.camera_numbers(lanes, samples, seed, iteration, role + "camera")
+        if self.fixed_points:
+            fixed = self.camera_numbers(points, own, seed, 0, role + "camera")
+        ray, importance, _ = self.camera.primary(points // own, fixed)
         walker = self.walker(Walker, first=self.first_hits(lanes, 0 if self.fixed_points else iteration))
         path = GatherPath.start(
             ray,
@@ -163,7 +181,7 @@ class PhotonMapping(ImageMethod):
             found=mi.UInt32(0),
             first=mi.Bool(True),
             peaked=mi.Bool(False),
-            lane=mi.UInt32(lanes),
+            point=mi.UInt32(points),
         )
         path = walker.walk(path, lambda s: self._edge(s, walker, fresh, fixed), "photon gathering")
         path.weigh(importance)

@@ -16,10 +16,22 @@ from etendue.core import Array, logger
 from etendue.density import KERNELS, HashGrid
 from etendue.film import REFLECTED, Component, by_component
 from etendue.scene import Problem
-from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, Vertex, unfolded
+from etendue.transport import (
+    Edge,
+    Gather,
+    LightVertices,
+    LightWalk,
+    Mis,
+    Photons,
+    Techniques,
+    WalkRecorder,
+    WalkVertex,
+    unfolded,
+)
 
 from .. import base
 from ..base import PILOT_PATHS, ImageMethod, Lanes, total
+from ..numbers import path_numbers
 from ..store import VertexRoom
 
 #: Density per solid angle from which on a BSDF has a peak, in which a camera path goes on instead of gathering photons.
@@ -71,15 +83,24 @@ class PhotonTracer:
 
     def _trace(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> PhotonShot:
         """Trace light paths and store their vertices."""
-        method = self._method
-        mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
-        walk = method.walker(LightWalk, camera=method.camera, mis=mis, dark=mi.Float(0.0))
-        vertices = LightVertices(capacity, paths, indexed=False, connected=False)
-        source = method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
-        rays, _ = walk.trace(paths, source, vertices)
+        owned = self._method.recording.light is not None
+        vertices = LightVertices(capacity, paths, indexed=False, connected=False, owned=owned)
+        source = self._method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
+        rays, _ = self._walk().trace(paths, source, vertices)
         dr.schedule(rays)
         vertices.launch()
         return PhotonShot(vertices, paths, total(rays), capacity)
+
+    def trace_again(self, number: mi.UInt32, iteration: int, seed: int, paths: int) -> None:
+        """Trace the light paths with these numbers, of the ``paths`` of a pass."""
+        o = self._method.settings
+        source = path_numbers(o.sampler, number, paths, seed, iteration, "light", o.scrambling)
+        dr.eval(self._walk().trace(dr.width(number), source))
+
+    def _walk(self) -> LightWalk:
+        method = self._method
+        mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
+        return method.walker(LightWalk, camera=method.camera, mis=mis, dark=mi.Float(0.0))
 
 
 @dataclass(frozen=True)
@@ -103,7 +124,7 @@ class Peaks:
 def reflected_by(
     photons: Photons,
     photon: mi.UInt32,
-    vertex: Vertex,
+    vertex: WalkVertex,
     limit: mi.Float,
     kernel: str,
     active: mi.Bool,
@@ -141,6 +162,20 @@ def add_by_kind(
     return [part + value for part, value in zip(sums, values, strict=True)]
 
 
+def record_merge(
+    recorder: WalkRecorder | None,
+    vertex: WalkVertex,
+    photons: Photons,
+    photon: mi.UInt32,
+    value: mi.Color3f,
+    active: mi.Bool,
+) -> None:
+    """Record that a photon contributes ``value`` at a vertex, if rays are recorded."""
+    if recorder is not None:
+        position, owner = photons.position(photon, active)[0], photons.path(photon, active)
+        recorder.joined(Edge.MERGE, vertex, position, value, active, owner)
+
+
 class PhotonGrid:
     """Photons of a pass in a grid, for density estimation with radii up to ``radius``.
 
@@ -153,6 +188,7 @@ class PhotonGrid:
     kernel: name of the kernel.
     by_kind: keep light of different components apart.
     peaks: see :func:`reflected_by`.
+    recorder: records which photons contribute to which vertices.
     """
 
     def __init__(
@@ -165,14 +201,15 @@ class PhotonGrid:
         kernel: str = "uniform",
         by_kind: bool = False,
         peaks: Peaks | None = None,
+        recorder: WalkRecorder | None = None,
     ) -> None:
         grid = HashGrid(positions, radius, *box, held)
         self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), ())
         self._paths = dr.opaque(mi.Float, shot.paths)
-        self._kernel, self._by_kind, self._peaks = kernel, by_kind, peaks
+        self._kernel, self._by_kind, self._peaks, self._recorder = kernel, by_kind, peaks, recorder
 
     def reflected(
-        self, vertex: Vertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
+        self, vertex: WalkVertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
     ) -> tuple[list[mi.Color3f], mi.UInt32]:
         """(reflected radiance at a vertex, or with ``by_kind`` that of each of ``film.REFLECTED``; number of photons
         that contribute to it), from the photons with a depth of at most ``edges`` within a squared radius ``limit``."""
@@ -181,6 +218,7 @@ class PhotonGrid:
         def visit(photon: mi.UInt32, state: tuple[list[mi.Color3f], mi.UInt32]) -> tuple[list[mi.Color3f], mi.UInt32]:
             flux, found = state
             value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks)
+            record_merge(self._recorder, vertex, photons, photon, value, active)
             found = found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
             return add_by_kind(flux, value, photons, photon, active), found
 

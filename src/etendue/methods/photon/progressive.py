@@ -104,7 +104,7 @@ class Sppm(Carrying, PhotonMapping):
         ``limit``: the largest, squared."""
         positions, held = self._wanted(self.shoot(0, seed))
         self._tree, self._limit = KdTree(positions, held), dr.opaque(mi.Float, limit)
-        path = self._trace("", 0, seed, self.samples_per_iteration)
+        path = self._trace("", 0, seed, self._lanes(), self.samples_per_iteration)
         squared = dr.reinterpret_array(mi.Float, path.found)
         # Photons may have the same position: a radius of 0 would never find any.
         squared = dr.select(path.first, self._limit, dr.maximum(squared, _LEAST_SHARE * self._limit))
@@ -127,7 +127,8 @@ class Sppm(Carrying, PhotonMapping):
         positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
         o = self.settings
-        self._photons = PhotonGrid(shot, positions, held, largest, self._box, o.kernel, o.components, self.peaks)
+        own = o.kernel, o.components, self.peaks, self.recording.camera
+        self._photons = PhotonGrid(shot, positions, held, largest, self._box, *own)
 
     def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
         """See :class:`PhotonMapping`."""
@@ -136,7 +137,7 @@ class Sppm(Carrying, PhotonMapping):
             limit = self._limit * share
             squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, limit, active)
             return no_light(self.settings.components), dr.reinterpret_array(mi.UInt32, squared / share)
-        limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active) * share
+        limit = dr.gather(mi.Float, self._radius_squared, s.point // self._sharing, active) * share
         return self._photons.reflected(vertex, self.edges - s.depth, limit, active)
 
     def finish(self, found: mi.UInt32) -> None:

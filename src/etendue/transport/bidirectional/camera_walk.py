@@ -14,6 +14,7 @@ from etendue.film import REFLECTED, Component, by_component
 from .. import dimensions as dim
 from ..emission import DirectSample
 from ..guiding.connections import ConnectionTraining
+from ..rays import Edge
 from ..scattering import Evaluated, cosine_ratio, geometric_cos
 from ..vertex import WalkVertex
 from ..walk import ones
@@ -61,13 +62,20 @@ class CameraWalk(BidirectionalWalk):
     moments: Moments | None = None
     choosing: ConnectionTraining | None = None  #: learns which light vertices connections should prefer
 
-    def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
-        """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane per path, not
-        yet evaluated."""
-        return self.follow(self.camera.primary(pixel, source), pixel, source)
+    def trace(
+        self, pixel: mi.UInt32, source: SampleSource, number: mi.UInt32 | None = None
+    ) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
+        """Trace one camera path for each entry of ``pixel``. ``number``: of each path in the pass, for the choice of
+        light vertices; None: that of its lane. Returns (layers of radiance, rays), one lane per path, not yet
+        evaluated."""
+        return self.follow(self.camera.primary(pixel, source), pixel, source, number)
 
     def follow(
-        self, primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f], pixel: mi.UInt32, source: SampleSource
+        self,
+        primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f],
+        pixel: mi.UInt32,
+        source: SampleSource,
+        number: mi.UInt32 | None = None,
     ) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
         """:meth:`trace` for the given camera rays: (ray, weight, aperture sample)."""
         lanes = dr.width(pixel)
@@ -88,7 +96,7 @@ class CameraWalk(BidirectionalWalk):
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
             seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
-            lane=dr.arange(mi.UInt32, lanes),
+            lane=dr.arange(mi.UInt32, lanes) if number is None else mi.UInt32(number),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
             worth=learner.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)) if learner else None,
             place=self.start,
@@ -197,6 +205,7 @@ class CameraWalk(BidirectionalWalk):
             vertex, light.target, s.depth + 1, values, alone / count, self.dark, u, light.active
         )
         s.rays += rays
+        self.record(Edge.NEXT_EVENT, vertex, light.target, contribution)
         self.sink.show(mi.UInt32(1), number + 1, contribution)
         self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
         if self.moments and s.sums:
@@ -287,6 +296,7 @@ class CameraWalk(BidirectionalWalk):
         values = [alone * weight for weight in weights]
         edges = other.depth + s.depth + 1
         contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
+        self.record(Edge.CONNECTION, vertex, other.position, contribution, other.path)
         self.sink.show(other.number + 1, number + 1, contribution)
         if self.training is not None:
             self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
@@ -328,10 +338,10 @@ class CameraWalk(BidirectionalWalk):
         assert self.gather is not None
         photons, number = self.gather.photons, self.number(s)
         squares, factors = self.gather.at(share)
-        p = photons.read(photon, active)
+        p, position = photons.read(photon, active), photons.position(photon, active)[0]
         f = vertex.evaluate(p.direction, active)
         weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
-        distance_squared, share = unfolded(vertex.si, photons.position(photon, active)[0], p)
+        distance_squared, share = unfolded(vertex.si, position, p)
         value = p.fluence * f.value * share
         inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:
@@ -339,6 +349,9 @@ class CameraWalk(BidirectionalWalk):
             here = active & inside[0]
             merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
+        if self.rays is not None:
+            brought = value * s.throughput * (factors[0] * weights[0])
+            self.rays.joined(Edge.MERGE, vertex, position, brought, active & inside[0], photons.path(photon, active))
         if self.training is not None:
             credit = value * s.throughput * (factors[0] * weights[0])
             self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])

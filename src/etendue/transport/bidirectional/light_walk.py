@@ -15,6 +15,7 @@ from .. import dimensions as dim
 from ..camera import CameraConnection
 from ..emission import EmittedRay, emit
 from ..lamps.spheres import seen_density
+from ..rays import Edge
 from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric_cos, scatter_light
 from ..vertex import WalkVertex
 from ..walk import ones
@@ -131,7 +132,7 @@ class LightWalk(BidirectionalWalk):
         else:
             joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), used)
             scattered, (f,) = vertex.sample(source, s.active, [joined])
-            self._splat(s, vertex, joined, light_cos, f, source, self.sink)
+            self._splat(s, path, vertex, joined, light_cos, f, source, self.sink)
 
         # ---- Advance
         self.go_on(s, vertex, scattered, source, on_edge, light_cos, place)
@@ -181,6 +182,7 @@ class LightWalk(BidirectionalWalk):
     def _splat(
         self,
         s: LightPath,
+        path: mi.UInt32,
         vertex: WalkVertex,
         joined: CameraConnection,
         light_cos: mi.Float,
@@ -204,6 +206,8 @@ class LightWalk(BidirectionalWalk):
             vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
         )
         s.rays += rays
+        if self.rays is not None:
+            self.record(Edge.SPLAT, vertex, joined.target, contribution, path, self.rays.on_film(joined.position))
         if self.moments:
             self.moments.splat(joined.position, contribution.weighted[0], weights.ratios, contribution.active)
         if self.training is not None:

@@ -14,6 +14,7 @@ from ..camera import CameraSampler
 from ..guiding.connections import START, ConnectionGuide
 from ..guiding.emission import EmissionTraining
 from ..places import Places
+from ..rays import Edge
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
@@ -86,6 +87,20 @@ class BidirectionalWalk(Walker):
         weighted = [contribution * (factor * transmittance) for contribution in contributions]
         active = visible if self.pyramid is None else visible & survives
         return Contribution(weighted, alone * transmittance, active, visible), ones(tested)
+
+    def record(
+        self,
+        kind: Edge,
+        vertex: WalkVertex,
+        target: mi.Point3f,
+        contribution: Contribution,
+        light: mi.UInt32 | int = 0,
+        wanted: mi.Bool | bool = True,
+    ) -> None:
+        """Record a join that contributes, if rays are recorded; see :class:`WalkRecorder`."""
+        if self.rays is not None:
+            active = contribution.active & wanted
+            self.rays.joined(kind, vertex, target, contribution.weighted[0], active, light)
 
     def leave(
         self,

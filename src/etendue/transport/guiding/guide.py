@@ -58,7 +58,7 @@ def direction_of(point: mi.Point2f) -> mi.Vector3f:
     return mi.Vector3f(disc.x, disc.y, dr.select(below, -z, z))
 
 
-@dataclass
+@dataclass(kw_only=True)
 class GuidedScattered(Scattered):
     """A direction sampled from the BSDF or the guide, one lane each."""
 
@@ -110,7 +110,9 @@ class Guide:
 
     def cell_at(self, position: Sequence[float], normal: Sequence[float]) -> int:
         """The cell of a surface point that faces along ``normal``."""
-        cell = self._cells.find(mi.Point3f(*position), mi.Normal3f(*normal))
+        place = mi.Point3f(*position), mi.Normal3f(*normal)
+        dr.make_opaque(place)  # literals would make a kernel for each point
+        cell = self._cells.find(*place)
         return int(np.asarray(cell).ravel()[0])
 
     def picture(self, cell: int, height: int = 64) -> Array:
@@ -121,7 +123,7 @@ class Guide:
         sine = np.sin(polar).ravel()
         ways = [sine * np.cos(azimuth).ravel(), sine * np.sin(azimuth).ravel(), np.cos(polar).ravel()]
         direction = mi.Vector3f(*(copied_to_device(mi.Float, way.astype(np.float32)) for way in ways))
-        density, _ = self._sampler.find(dr.full(mi.UInt32, cell, 2 * height * height), square_of(direction))
+        density, _ = self._sampler.find(dr.opaque(mi.UInt32, cell, 2 * height * height), square_of(direction))
         return np.array(density, dtype=np.float64).reshape(height, 2 * height) * PER_STERADIAN
 
     # ------------------------------------------------------------------ on the device
@@ -183,6 +185,7 @@ class Guide:
             is_delta=is_delta,
             is_null=sampled.is_null & ~by_guide,
             active=active,
+            by_guide=by_guide,
             place=dr.select(smooth & ~is_delta, dr.select(by_guide, place, its_place), NOWHERE),
             glow=dr.select(smooth & ~is_delta, glow, 0.0),
         ), evaluated

@@ -1,4 +1,4 @@
-"""Recorded paths as lines."""
+"""Recorded rays as lines and points."""
 
 from __future__ import annotations
 
@@ -8,38 +8,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.film import LUMINANCE
-from etendue.transport import Event, Tracks
+from etendue.transport import Edge, Rays
+
+#: Most edges of a kind that are sent to a page; of more, every k-th is sent.
+_MOST = 50_000
 
 
-def lines(tracks: Tracks) -> dict[str, NDArray[Any]]:
-    """Arrays for the page: every edge as two points (edges, 2, 3), with the luminance of its throughput, the event at
-    its end, its number in the path and the path; and the edges to light points that next event estimation reached
-    (lights, 2, 3), with the luminance that they bring and the path."""
-    events, positions = tracks.events, tracks.positions
-    there = events[:, 1:] != Event.NONE
-    path, edge = np.nonzero(there)
-    ends = np.stack([positions[path, edge], positions[path, edge + 1]], axis=1)
-    lit_path, lit = np.nonzero(np.isfinite(tracks.light).all(axis=2))
-    seen = np.stack([positions[lit_path, lit], tracks.light[lit_path, lit]], axis=1)
+def lines(rays: Rays) -> dict[str, NDArray[Any]]:
+    """Arrays for the page, one row per edge: its ends (edges, 2, 3), kind, event at its end, number in its path, number
+    of the path, and the luminance of its value."""
+    kept = np.zeros(len(rays), bool)
+    for kind in Edge:
+        place = np.flatnonzero(rays.kind == kind)
+        kept[place[:: max(1, -(-len(place) // _MOST))]] = True
+    drawn = rays[kept]
     return {
-        "edges": ends.astype(np.float32),
-        "throughput": _luminance(tracks.throughput[path, edge + 1]),
-        "event": events[path, edge + 1].astype(np.uint8),
-        "number": (edge + 1).astype(np.uint8),
-        "path": path.astype(np.uint32),
-        "lights": seen.astype(np.float32),
-        "brought": _luminance(tracks.direct[lit_path, lit]),
-        "light_path": lit_path.astype(np.uint32),
+        "edges": np.stack([drawn.start, drawn.end], axis=1),
+        "kind": drawn.kind,
+        "event": drawn.event,
+        "number": np.minimum(drawn.number, 255).astype(np.uint8),
+        "path": drawn.path,
+        "value": _luminance(drawn.value),
     }
 
 
-def hits(tracks: Tracks) -> dict[str, NDArray[Any]]:
+def hits(rays: Rays, paths: int) -> dict[str, NDArray[Any]]:
     """Photons: hits of light paths on surfaces with a component without delta functions. Position (n, 3), power (n, 3)
-    in watts, its luminance (n,), edges from the light (n,)."""
-    _, edge = np.nonzero(tracks.smooth)
-    power = tracks.throughput[tracks.smooth] / len(tracks)
-    points = tracks.positions[tracks.smooth]
-    return {"points": points, "power": power, "value": _luminance(power), "number": edge.astype(np.uint8)}
+    in watts, its luminance (n,), edges from the light (n,). ``paths``: number of the light paths."""
+    found = rays[(rays.kind == Edge.LIGHT) & rays.smooth]
+    power = found.value / np.float32(paths)
+    number = np.minimum(found.number, 255).astype(np.uint8)
+    return {"points": found.end, "power": power, "value": _luminance(power), "number": number}
 
 
 def _luminance(colour: NDArray[np.floating[Any]]) -> NDArray[np.float32]:

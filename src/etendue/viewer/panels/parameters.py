@@ -25,9 +25,10 @@ class Parameters(Panel):
     title: ClassVar[str] = "Scene"
     script: ClassVar[str] = "parameters.js"
 
-    def __init__(self, session: Any) -> None:
+    def __init__(self, session: Any, changes: Mapping[str, Any] | None = None) -> None:
+        """``changes``: made when the scene of the session is loaded."""
         super().__init__(session)
-        self._changes: dict[str, Any] = {}
+        self._changes: dict[str, Any] = dict(changes or {})
         self._editor: SceneEditor | None = None
         self._own: dict[str, Any] = {}  # values before the first change
         #: (changes, values before them) of the scene that is being loaded; loading may fail.

@@ -1,42 +1,40 @@
-"""The 3-D view: surfaces, paths, photons, trees and grids, radiosity, the guide's directions."""
+"""The 3-D view: surfaces, rays, photons, trees and grids, radiosity, the guide's directions.
+
+All but the surfaces is made by a process of its own, because compiling a kernel takes seconds, during
+which Dr.Jit does nothing else in this one. If a scene cannot be given to another process, the session makes it.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from numpy.typing import NDArray
-
-from etendue.core import OptionError, suggest
+from etendue.core import EtendueError, OptionError, describe, suggest
 from etendue.scene import Problem, graph
-from etendue.transport import Guide, PathRecorder
+from etendue.transport import Guide
 
-from ..figures import meshes, particles, paths, trees
+from ..figures import meshes, trees
 from ..figures.packing import joined
-from ..figures.solution import LiveSolution, SavedSolution, ShownSolution
-from ..protocol import number, numbers, text
 from ..refining import Refinement
+from ..tracing import Arrays, Desk, Order, Reply, SceneCopy, TracingProcess, View
 from . import Panel
 
 if TYPE_CHECKING:
     from ..clients import Client
 
-Arrays = Mapping[str, NDArray[Any]]
+#: Messages of a page.
+_VERBS = ("mesh", "paths", "photons", "tree", "guide", "solve", "stop", "stay")
+#: Growth of the number of passes after which rays that follow the picture are traced again.
+_GROWTH = 2
+#: What the page is told where another process cannot be used.
+_HERE = "tracing between pictures, which wait while new kernels are compiled: another process cannot have this scene"
 
-#: Most paths that are drawn, and most light paths that make photons.
-_MOST_PATHS, _MOST_PHOTONS = 2000, 50_000
-#: Message to a page that asks for the first paths of a scene.
-_FIRST = "The first paths of a scene: their kernels are compiled, which takes seconds in a large scene; wait a moment."
-#: Rows of the picture of a guide's directions.
-_ROWS = 64
-#: Radius of a hash grid, relative to half the diagonal of the scene.
-_REACH = 0.02
+#: Message of a page: its verb, its fields, and the page, ``None`` for all.
+Asked = tuple[str, Mapping[str, Any], "Client | None"]
 
 
 class Space(Panel):
-    """Sends the arrays that the page draws; a solution of radiosity is refined between passes of the picture."""
+    """Sends the arrays that the page draws."""
 
     name: ClassVar[str] = "space"
     title: ClassVar[str] = "3-D view"
@@ -44,77 +42,115 @@ class Space(Panel):
 
     def __init__(self, session: Any) -> None:
         super().__init__(session)
-        self._scenes = 0  # loaded so far
-        self._solution: ShownSolution | None = None
-        self._recorder: tuple[Problem, int, PathRecorder] | None = None
-        self._seed = 0
+        self._scenes = 0  # loaded or edited so far
+        self._main: Any = None
+        self._runs = 0  # refinements of the picture so far
+        self._process: TracingProcess | None = None
+        self._has = -1  # number of the scene that the process has
+        self._desk: Desk | None = None  # of this thread, if there can be no process
+        self._why = ""  # why there can be none
+        self._waiting: dict[tuple[Client | None, str], Asked] = {}  # the latest of each page and verb
+        self._current: Asked | None = None  # that the process answers
+        self._number = self._heard = 0  # of the latest order, and the latest that the process has begun
+        self._failed = False  # whether a process has ended before it began an order
+        #: Pages whose rays follow the picture: their message, and run and passes for which it was answered.
+        self._following: dict[Client, tuple[Mapping[str, Any], int, int]] = {}
+        self._solution: dict[str, tuple[Arrays, Mapping[str, Any]]] = {}  # the messages about it, for further pages
+        self._solving = False
 
     def state(self) -> dict[str, Any]:
-        """Number of the scene, names of its lights, kinds of trees, and whether a solution or a guide exists."""
-        problem = self.session.problem
+        """Number of the scene, names of its lights, kinds of trees, and whether radiosity is solved or a guide
+        exists."""
+        problem, main = self.session.problem, self.session.main
         lights = [] if problem is None else [_light_name(emitter) for emitter in problem.scene.emitters()]
         return {
             "scene": self._scenes,
             "lights": lights,
             "trees": trees.KINDS,
-            "solving": self._solution is not None and not self._solution.is_done,
-            "guided": self._guide() is not None,
+            "solving": self._solving,
+            "guided": isinstance(main, Refinement) and isinstance(getattr(main.method, "guide", None), Guide),
         }
 
     def scene_loaded(self) -> None:
         """Drop everything of the scene before; read a solution that was given with the new scene."""
         self.scene_edited()
+        self.close()
+        self._why = ""
         asked = self.session.asked
         if asked.solution is not None and self.session.problem is not None:
-            self._solution = SavedSolution(self.session.problem, asked.solution)
+            self._ask("solve", {"file": str(asked.solution)}, None)
 
     def scene_edited(self) -> None:
-        """Drop paths and solutions, which are outdated after an edit."""
+        """Drop rays and solutions, which are outdated after an edit."""
         self._scenes += 1
-        self.close()
+        for verb, _, client in [*self._waiting.values(), *([self._current] if self._current else [])]:
+            self._busy(verb, client)
+        self._waiting.clear()
+        if self._current is not None or self._solving or self._desk is not None:
+            self.close()
+        self._solution.clear()
+        self._solving = False
 
     def close(self) -> None:
-        """Release the scene."""
-        if self._solution is not None:
-            self._solution.close()
-        self._solution = self._recorder = None
+        """End the process, and release the scene."""
+        if self._process is not None:
+            self._process.close()
+        if self._desk is not None:
+            self._desk.close()
+        self._process = self._desk = self._current = None
+        self._main, self._has = None, -1
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
-        """``mesh``, ``paths``, ``photons``, ``tree``, ``solve``, ``stop``, ``guide``; the first four and
-        ``guide`` answer the page that asks, ``solve`` all pages."""
-        handlers = {
-            "mesh": self._mesh,
-            "paths": self._paths,
-            "photons": self._photons,
-            "tree": self._tree,
-            "solve": self._solve,
-            "stop": self._stop,
-            "guide": self._show_guide,
-        }
-        if verb not in handlers:
-            raise OptionError(f"there is no message 'space.{verb}'; {suggest(verb, handlers)}")
+        """``mesh`` answers the page that asks; ``paths``, ``photons``, ``tree`` and ``guide`` do so later; ``solve``
+        all pages, until ``stop``. ``paths`` with ``follow`` are traced again when the picture changes, until
+        ``stay``."""
         problem = self.session.problem
+        if verb not in _VERBS:
+            raise OptionError(f"there is no message 'space.{verb}'; {suggest(verb, _VERBS)}")
         if problem is None:
             raise OptionError("no scene is loaded; open one first")
-        handlers[verb](problem, message, client)
+        if verb == "mesh":
+            self._mesh(problem, client)
+        elif verb == "stay":
+            self._following.pop(client, None)
+        elif verb in ("solve", "stop"):
+            self._solving = verb == "solve"
+            self._solution.clear()
+            if verb == "solve" or self._process is not None or self._desk is not None:
+                self._ask(verb, message, client)
+            self.session.changed()
+        else:
+            if verb == "paths":
+                self._following.pop(client, None)
+                if message.get("follow"):
+                    self._following[client] = message, 0, 0
+            self._ask(verb, message, client)
+
+    def after_pass(self) -> None:
+        """Trace the rays again that follow the picture, if it is another picture, or has twice as many passes."""
+        run, passes = self._run(), getattr(self.session.main, "passes", 0)
+        for client, (message, last_run, last_passes) in list(self._following.items()):
+            asked = self._waiting.get((client, "paths"), self._current)
+            if client.closed:
+                del self._following[client]
+            elif asked is not None and asked[0] == "paths" and asked[2] is client:
+                continue  # it is being answered
+            elif run != last_run or passes >= _GROWTH * max(last_passes, 1):
+                self._ask("paths", message, client)
 
     def work(self) -> bool:
-        """Cast lines for the solution, and send a new solution."""
-        live = self._solution
-        if live is None or live.is_done:
+        """Refine a solution that is made in this thread."""
+        if self._desk is None:
             return False
         try:
-            if live.step():
-                self._send_values(live)
+            return self._desk.work()
         except Exception:
-            self.close()
-            self.session.changed()
+            self._solved()
             raise
-        return True
 
-    # ------------------------------------------------------------------ answers
+    # ------------------------------------------------------------------ answers of the session
 
-    def _mesh(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
+    def _mesh(self, problem: Problem, client: Client) -> None:
         mesh = meshes.scene_mesh(problem)
         width, height = problem.size
         pose = self.session.pose
@@ -124,127 +160,147 @@ class Space(Panel):
         about: Any = {"names": mesh.names, "left_out": mesh.left_out, "missing": mesh.missing}
         about["space"] = {"centre": problem.space.centre, "scale": problem.space.scale}
         self._send(client, "mesh", arrays, camera=camera | {"aspect": width / height}, size=pose.size, **about)
-        if self._solution is not None:
-            self._send_solution(self._solution, client)
+        for verb, (found, fields) in self._solution.items():
+            self._send(client, verb, found, **fields)
 
-    def _paths(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
-        count = _count(message, _MOST_PATHS)
-        recorder = self._recorded(problem, int(number(message, "depth", -1)), client)
-        source = text(message, "source", "camera")
-        self._seed += 1
-        if source == "camera":
-            width, height = problem.size
-            x, y = number(message, "x", 0.5) * width, number(message, "y", 0.5) * height
-            tracks = recorder.from_camera(x, y, count, self._seed)
+    # ------------------------------------------------------------------ answers of the process
+
+    def _ask(self, verb: str, message: Mapping[str, Any], client: Client | None) -> None:
+        """Answer a message when those before it are answered; a later one of the same kind replaces it."""
+        self._waiting.pop((client, verb), None)  # so that it is the last
+        self._waiting[client, verb] = verb, message, client
+        if self._current is not None or self._process is None:
+            self._busy(verb, client, "waiting for its turn" if self._current else "starting a process of its own")
+        self._next()
+
+    def _next(self) -> None:
+        """Let the process answer the next message, if it answers none."""
+        while self._waiting and self._current is None:
+            verb, message, client = self._waiting.pop(next(iter(self._waiting)))
+            run, main = self._run(), self.session.main
+            if client is not None and client in self._following and verb == "paths":
+                self._following[client] = message, run, getattr(main, "passes", 0)
+            if not self._why:
+                try:
+                    self._order(verb, message, client, run)
+                except (EtendueError, OSError) as error:  # a scene in memory, or no process
+                    self._why = describe(error)
+            if self._why:
+                self._answer(verb, message, client)
+
+    def _order(self, verb: str, message: Mapping[str, Any], client: Client | None, run: int) -> None:
+        scene = SceneCopy.of(self.session) if self._has != self._scenes else None
+        if self._process is None:
+            later = self.session.later
+            process = self._process = TracingProcess(lambda reply: later(lambda: self._replied(process, reply)))
+        view = View.of(self.session, run) if verb in ("paths", "tree", "guide") else None
+        self._process.send(Order(self._number + 1, verb, message, scene, view))
+        self._has, self._number, self._current = self._scenes, self._number + 1, (verb, message, client)
+
+    def _replied(self, process: TracingProcess, reply: Reply) -> None:
+        """Take a reply of the process, unless it is about a scene or an order of the past."""
+        if process is not self._process:
+            return
+        verb, message, client = self._current or ("", {}, None)
+        if reply.kind == "ended":
+            self._ended(reply.content)
+            return
+        self._heard, self._failed = max(self._heard, reply.number), False
+        if reply.kind == "message" and reply.number in (0, self._number):
+            self._show(client if reply.number else None, *reply.content)
+        elif reply.kind == "failed" and reply.number == 0:
+            self.session.tell(reply.content)
+            self._solved()
+        elif reply.number != self._number or self._current is None:
+            return
+        elif reply.kind == "doing":
+            self._busy(verb, client, reply.content)
+        elif reply.kind == "unusable":
+            self.close()
+            self._why = reply.content
+            self._answer(verb, message, client)
+            self._next()
         else:
-            light = None if source == "lights" else int(number({"light": _whole(source)}, "light"))
-            tracks = recorder.from_light(light, count, self._seed)
-        self._send(client, "paths", paths.lines(tracks), count=count)
+            if reply.kind == "failed":
+                self.session.tell(reply.content, client)
+                self._solved(verb == "solve")
+            self._done(verb, client)
 
-    def _photons(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
-        if file := text(message, "file", "").strip():
-            found: Arrays = particles.points(problem, Path(file))
-        else:
-            found = self._hits(problem, message, client)
-        self._send(client, "photons", found, total=float(found["power"].sum(axis=0).mean()))
+    def _ended(self, reason: str) -> None:
+        """The process has ended. Orders that it has not begun are given to another one, unless that ends, too."""
+        current, was_solving, begun = self._current, self._solving, self._heard == self._number
+        self.close()
+        self._solving = False
+        if current is not None and not begun:
+            self._why, self._failed = reason if self._failed else "", True
+            self._solving = current[0] == "solve"
+            self._waiting[current[2], current[0]] = current
+        elif current is not None or was_solving:  # else it had nothing to do
+            verb, client = (current[0], current[2]) if current is not None else ("solve", None)
+            self.session.tell(f"{reason}; try again", client)
+            self._busy(verb, client)
+        if was_solving != self._solving:
+            self.session.changed()
+        self._next()
 
-    def _hits(self, problem: Problem, message: Mapping[str, Any], client: Client) -> Arrays:
-        recorder = self._recorded(problem, -1, client)
-        return paths.hits(recorder.from_light(None, _count(message, _MOST_PHOTONS), self._seed))
+    def _answer(self, verb: str, message: Mapping[str, Any], client: Client | None) -> None:
+        """Answer in this thread."""
+        self._busy(verb, client, f"{_HERE} ({self._why})")
+        problem = self.session.problem
+        assert problem is not None
+        if self._desk is None:
+            self._desk = Desk(problem, lambda *message: self._show(None, *message))
+        try:
+            self._desk.handle(verb, message, self._picture, lambda *message: self._show(client, *message))
+        except Exception as error:
+            self.session.tell(error, client)
+            self._solved(verb == "solve")
+        self._busy(verb, client)
 
-    def _tree(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
-        kind = text(message, "kind")
-        if kind not in trees.KINDS:
-            raise OptionError(f"there is no tree '{kind}'; {suggest(kind, trees.KINDS)}")
-        if kind == "spheres":
-            found: Arrays = trees.spheres(problem)
-        elif kind == "boxes":
-            found = trees.multipath_boxes(problem)
-        elif kind == "guide":
-            if (guide := self._guide()) is None:
-                raise OptionError("the picture has no guide: render it by guided")
-            found = trees.guide_cells(guide)
-        elif kind == "kd-tree":
-            found = trees.kd_tree(self._hits(problem, message, client)["points"])
-        else:
-            assert self.session.pose is not None
-            reach = number(message, "radius", 0.0) * problem.space.scale or _REACH * self.session.pose.size
-            found = trees.hash_grid(self._hits(problem, message, client)["points"], reach)
-        self._send(client, "trees", found, tree=kind)
+    def _picture(self) -> Refinement:
+        session = self.session
+        if isinstance(session.main, Refinement):
+            return session.main
+        assert session.problem is not None
+        return View.of(session, self._run()).refinement(session.problem)
 
-    def _solve(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
-        self._stop(problem, message, client)
-        area = None if message.get("area") is None else number(message, "area")
-        file = text(message, "file", "").strip()
-        self._solution = SavedSolution(problem, Path(file)) if file else LiveSolution(problem, area)
-        self._send_solution(self._solution, None)
-        self.session.changed()
+    def _done(self, verb: str, client: Client | None) -> None:
+        self._current = None
+        self._busy(verb, client)
+        self._next()
 
-    def _stop(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
-        if self._solution is not None:
-            self._solution.close()
-            self._solution = None
+    def _run(self) -> int:
+        """Number of the picture's refinement."""
+        if self.session.main is not self._main:
+            self._main, self._runs = self.session.main, self._runs + 1
+        return self._runs
+
+    def _show(self, client: Client | None, verb: str, arrays: Arrays, fields: Mapping[str, Any]) -> None:
+        if verb in ("solution", "values"):
+            if not self._solving and not self._solution and verb == "values":
+                return  # it was stopped meanwhile
+            self._solution[verb] = arrays, fields
+            if fields.get("done"):
+                self._solved()
+        self._send(client, verb, arrays, **fields)
+
+    def _solved(self, ended: bool = True) -> None:
+        """Radiosity is not refined any more."""
+        if self._solving and ended:
+            self._solving = False
             self.session.changed()
 
-    def _show_guide(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
-        guide = self._guide()
-        if guide is None:
-            raise OptionError("the picture has no guide: render it by guided")
-        cell = guide.cell_at(numbers(message, "position", 3), numbers(message, "normal", 3))
-        facing = int(guide.boxes()[2][cell])
-        picture = guide.picture(cell, _ROWS)
-        about: Any = {"cell": cell, "cells": guide.cells, "facing": facing, "width": 2 * _ROWS, "height": _ROWS}
-        self._send(client, "guide", {"density": picture}, **about)
+    # ------------------------------------------------------------------ messages
 
-    # ------------------------------------------------------------------ parts
-
-    def _guide(self) -> Guide | None:
-        """The guide of the picture's method; ``None`` without one."""
-        main = self.session.main
-        guide = getattr(main.method, "guide", None) if isinstance(main, Refinement) else None
-        return guide if isinstance(guide, Guide) else None
-
-    def _recorded(self, problem: Problem, depth: int, client: Client) -> PathRecorder:
-        """A recorder for the current scene. It is kept for further paths, because making tables of lights is slow. The
-        page is told of the wait for the first paths."""
-        if self._recorder is None or self._recorder[0].scene is not problem.scene:
-            client.send("note", text=_FIRST)
-        if self._recorder is None or self._recorder[0].scene is not problem.scene or self._recorder[1] != depth:
-            self._recorder = problem, depth, PathRecorder(problem, depth)
-        recorder = self._recorder[2]
-        recorder.look(problem)  # the camera may have moved
-        return recorder
-
-    def _send_solution(self, live: ShownSolution, client: Client | None) -> None:
-        names, shape = live.names()
-        self._send(client, "solution", live.mesh() | {"shape": shape}, names=names, max_area=live.max_area)
-        if live.solution is not None:
-            self._send_values(live, client)
-
-    def _send_values(self, live: ShownSolution, client: Client | None = None) -> None:
-        values = live.values()
-        luminance, error = values["luminance"], values["error"]
-        areas = live.patches.areas
-        whole = max((luminance * areas).sum(), 1e-30)
-        relative = float((error * areas).sum() / whole) if live.error is not None else None
-        about = {"bundles": live.bundles, "relative": relative, "done": live.is_done, "at": time.time()}
-        self._send(client, "values", values, **about)
+    def _busy(self, verb: str, client: Client | None, text: str = "") -> None:
+        """Tell what is being done for an answer; "" at its end."""
+        send = self.session.broadcast if client is None else client.send
+        send(f"{self.name}.busy", verb=verb, text=text)
 
     def _send(self, client: Client | None, verb: str, arrays: Arrays, **fields: Any) -> None:
         data, table = joined(arrays)
         send = self.session.broadcast if client is None else client.send
         send(f"{self.name}.{verb}", data, arrays=table, **fields)
-
-
-def _count(message: Mapping[str, Any], most: int) -> int:
-    count = number(message, "count")
-    if not (count.is_integer() and 1 <= count <= most):
-        raise OptionError(f"the number of paths is a whole number from 1 to {most}, not {count:g}")
-    return int(count)
-
-
-def _whole(text: str) -> int | str:
-    return int(text) if text.isdecimal() else text
 
 
 def _light_name(emitter: Any) -> str:

@@ -3,17 +3,18 @@
 import { Drawing } from '../space/gl.js';
 import { Orbit, add, cross, meet, unit } from '../space/orbit.js';
 import { legend, look, shade, span } from '../space/colours.js';
+import { rays } from '../space/rays.js';
 import { boxEdges, frustum, sphereEdges, unpacked } from '../space/shapes.js';
 
-const EVENTS = { 2: ['scattered', [96, 176, 255]], 3: ['mirror', [255, 214, 90]], 4: ['glass', [90, 230, 190]], 5: ['passed', [200, 200, 200]], 6: ['ended', [150, 110, 220]], 7: ['left the scene', [120, 120, 120]] };
+/** Milliseconds within which an answer comes at once: the page does not tell what is being done for it. */
+const AT_ONCE = 300;
 const FACINGS = ['+x', '−x', '+y', '−y', '+z', '−z'];
-const MOST_OVER_PICTURE = 2000;
 
 export default function (host) {
   const { make, numeric, short } = host;
   let view = null; // the open 3-D view
   let state = null;
-  const held = { mesh: null, paths: null, photons: null, trees: null, solution: null, values: null };
+  const held = { mesh: null, photons: null, trees: null, solution: null, values: null };
 
   // ---- controls
 
@@ -33,14 +34,7 @@ export default function (host) {
   const backs = Object.assign(make('input', { type: 'checkbox', change: () => redraw() }), { checked: true });
   const open = button('Open the 3-D view', () => show());
 
-  const source = select('Paths', [['camera', 'from the camera, through the place clicked']], () => redraw());
-  const count = number('Number', '200');
-  const depth = number('Edges at most', '8');
-  const colouring = select('Colour', [['throughput', 'throughput'], ['event', 'what happens at the end'], ['number', 'edge of the path']], () => redraw());
-  const lit = Object.assign(make('input', { type: 'checkbox', change: () => redraw() }), { checked: true });
-  const pathsNote = make('p', { class: 'soft' }, 'Click into the picture to choose a place.');
-  let place = [0.5, 0.5];
-  const trace = () => host.send('paths', { source: source.input.value, x: place[0], y: place[1], count: numeric(count.input.value), depth: numeric(depth.input.value) });
+  const paths = rays(host, () => redraw());
 
   const photons = number('Light paths', '5000');
   const dots = make('input', { type: 'range', min: 1, max: 12, step: 0.5, value: 4, 'aria-label': 'Size of points', input: () => redraw() });
@@ -61,13 +55,12 @@ export default function (host) {
   const solveNote = make('p', { class: 'soft' });
   const patch = make('p', { class: 'numbers', 'aria-live': 'polite' });
 
-  const guideNote = make('p', { class: 'soft' }, 'Render by guided, open the 3-D view and click a surface: the directions that the guide of that cell samples.');
+  const guideNote = make('p', { class: 'soft' }, 'Render by guided, and click a surface here or in the 3-D view: the directions that the guide of that cell samples.');
   const guidePicture = make('canvas', { width: 256, height: 128, hidden: true, style: 'width: 100%; image-rendering: pixelated', role: 'img', 'aria-label': 'Density of directions in the cell' });
 
   host.element.append(
     row(open), row(surfaces.element), make('label', { class: 'check' }, backs, make('span', {}, 'Hide backs, to look into rooms')),
-    details('Paths', row(source.element), row(count.element, depth.element), row(colouring.element),
-      make('label', { class: 'check' }, lit, make('span', {}, 'Edges to light points')), row(button('Trace', trace), button('Clear', () => clear('paths'))), pathsNote),
+    paths.section,
     details('Photons', row(photons.element, file.element), make('label', {}, make('span', {}, 'Size of points'), dots),
       row(button('Trace', () => host.send('photons', { count: numeric(photons.input.value), file: file.input.value })), button('Clear', () => clear('photons'))), photonsNote),
     details('Trees and grids', row(tree.element, radius.element), make('label', {}, make('span', {}, 'Level'), level),
@@ -78,7 +71,6 @@ export default function (host) {
 
   function clear(name) {
     held[name] = null;
-    if (name === 'paths') host.overlay.replaceChildren();
     redraw();
   }
 
@@ -88,35 +80,36 @@ export default function (host) {
     state = message;
     const own = message.panels.space;
     if (!own) return;
-    const options = [['camera', 'from the camera, through the place clicked'], ['lights', 'from all lights'], ...own.lights.map((name, k) => [String(k), `from ${name}`])];
-    const names = options.join('|');
-    if (source.input.dataset.names !== names) {
-      const before = source.input.value;
-      source.input.dataset.names = names;
-      source.input.replaceChildren(...options.map(([value, text]) => make('option', { value }, text)));
-      source.input.value = options.some(([value]) => value === before) ? before : 'camera';
-    }
+    paths.show(message);
     if (!tree.input.options.length) tree.input.append(...Object.entries(own.trees).map(([value, text]) => make('option', { value }, text)));
     run.textContent = own.solving ? 'Stop' : 'Solve';
     run.setAttribute('aria-pressed', own.solving);
     if (own.scene !== held.scene) {
       const first = held.scene === undefined;
-      Object.assign(held, { scene: own.scene, mesh: null, paths: null, photons: null, trees: null, solution: null, values: null });
-      host.overlay.replaceChildren();
+      Object.assign(held, { scene: own.scene, mesh: null, photons: null, trees: null, solution: null, values: null });
+      paths.clear();
       if (view && !first) { view.placed = false; host.send('mesh'); }
     }
-    overPicture();
+    paths.overPicture(state.size);
   });
   host.onPick((found) => {
-    place = [found.x, found.y];
-    pathsNote.textContent = `Through (${short(found.x)}, ${short(found.y)}) of the picture.`;
+    paths.pick(found);
+    if (state?.panels.space?.guided && found.point) host.send('guide', { position: found.point, normal: found.normal });
+  });
+  const notes = { paths: paths.note, photons: photonsNote, tree: treesNote, solve: solveNote, guide: guideNote };
+  const waits = {};
+  host.on('busy', ({ verb, text }) => {
+    const note = notes[verb];
+    if (!note) return;
+    clearTimeout(waits[verb]);
+    const told = text && `${text[0].toUpperCase()}${text.slice(1)} …`;
+    if (text) waits[verb] = setTimeout(() => { note.textContent = told; }, AT_ONCE);
+    else if (note.textContent.endsWith(' …')) note.textContent = ''; // no answer has replaced it
+    note.ariaBusy = String(Boolean(text));
   });
   const take = (name, then) => host.on(name, (message, data) => { held[name] = { ...message, ...unpacked(message.arrays, data) }; then(held[name]); redraw(); });
   take('mesh', (mesh) => { if (mesh.left_out) host.say(`${mesh.left_out} of the smallest triangles are not drawn`); if (mesh.missing.length) host.say(`Not drawn: ${mesh.missing.join(', ')}`); });
-  take('paths', (paths) => {
-    pathsNote.textContent = `${paths.count} paths, ${paths.edges.length / 6} edges, ${paths.lights.length / 6} light points reached.`;
-    overPicture();
-  });
+  host.on('paths', (message, data) => { paths.take({ ...message, ...unpacked(message.arrays, data) }); redraw(); });
   take('photons', (found) => { photonsNote.textContent = `${found.value.length} photons, ${short(found.total)} W in all.`; });
   take('trees', (found) => {
     const deepest = found.level.reduce((a, b) => Math.max(a, b), 0);
@@ -147,42 +140,6 @@ export default function (host) {
     guidePicture.hidden = false;
     guideNote.textContent = `Cell ${message.cell} of ${message.cells}, facing ${FACINGS[message.facing]}: +z above, azimuth from +x to the right, ${short(low)} to ${short(high)} per steradian.`;
   });
-
-  // ---- paths over the rendered picture
-
-  function edgeColours(paths) {
-    const [low, high] = span(paths.throughput);
-    return (k) => {
-      if (colouring.input.value === 'event') return EVENTS[paths.event[k]]?.[1] ?? [255, 255, 255];
-      if (colouring.input.value === 'number') return look(Math.min(1, paths.number[k] / 10));
-      return look(0.25 + 0.75 * shade(paths.throughput[k], low, high));
-    };
-  }
-
-  function overPicture() {
-    const { paths } = held;
-    if (!paths) return;
-    const colour = edgeColours(paths);
-    const width = (state.size?.[1] ?? 480) / 500;
-    const lines = [];
-    const add1 = (points, k, style) => {
-      const ends = [points.slice(6 * k, 6 * k + 3), points.slice(6 * k + 3, 6 * k + 6)].map((p) => host.project(p));
-      if (!ends[0] || !ends[1]) return;
-      const line = document.createElementNS('http://www.w3.org/2000/svg', 'path');
-      line.setAttribute('d', `M ${ends[0].map((v) => v.toFixed(1))} L ${ends[1].map((v) => v.toFixed(1))}`);
-      for (const [name, value] of Object.entries(style)) line.setAttribute(name, value);
-      lines.push(line);
-    };
-    for (let k = 0; k < Math.min(paths.edges.length / 6, MOST_OVER_PICTURE); k += 1) {
-      add1(paths.edges, k, { stroke: `rgb(${colour(k).join(' ')})`, 'stroke-width': width, opacity: 0.5, fill: 'none' });
-    }
-    if (lit.checked) {
-      for (let k = 0; k < Math.min(paths.lights.length / 6, MOST_OVER_PICTURE); k += 1) {
-        add1(paths.lights, k, { stroke: '#fff8c0', 'stroke-width': width / 2, opacity: 0.25, fill: 'none' });
-      }
-    }
-    host.overlay.replaceChildren(...lines);
-  }
 
   // ---- the 3-D view
 
@@ -226,7 +183,7 @@ export default function (host) {
 
   /** Fill the drawing anew from what is held. */
   function redraw() {
-    overPicture();
+    paths.overPicture(state?.size);
     if (!view || !held.mesh) return;
     const { drawing } = view;
     drawing.mode = Number(surfaces.input.value);
@@ -240,7 +197,7 @@ export default function (host) {
     const legends = [];
     drawSurfaces(legends);
     drawing.set('camera', 'lines', ...frustum(held.mesh.camera, held.mesh.size));
-    drawPaths(legends);
+    paths.draw(drawing, legends);
     drawPhotons(legends);
     drawTrees(legends);
     view.box.replaceChildren(...legends);
@@ -277,21 +234,6 @@ export default function (host) {
     mesh.shape.forEach((s, k) => { for (let corner = 0; corner < 3; corner += 1) colours.set([...mesh.colours.slice(3 * s, 3 * s + 3), 255], 12 * k + 4 * corner); });
     drawing.set('surfaces', 'triangles', mesh.triangles, colours);
     view.shown = mesh;
-  }
-
-  function drawPaths(legends) {
-    const { paths } = held;
-    const { drawing } = view;
-    drawing.remove('paths');
-    drawing.remove('light points');
-    if (!paths) return;
-    const colour = edgeColours(paths);
-    const edges = new Uint8Array(paths.edges.length / 3 * 4);
-    for (let k = 0; k < paths.edges.length / 6; k += 1) { edges.set([...colour(k), 200], 8 * k); edges.set([...colour(k), 200], 8 * k + 4); }
-    drawing.set('paths', 'lines', paths.edges, edges);
-    if (lit.checked) drawing.set('light points', 'lines', paths.lights, new Uint8Array(paths.lights.length / 3 * 4).map((_, k) => [255, 220, 120, 70][k % 4]));
-    if (colouring.input.value === 'throughput') legends.push(legend(make, source.input.value === 'camera' ? 'throughput' : 'throughput in W', ...span(paths.throughput), short));
-    else if (colouring.input.value === 'event') legends.push(make('div', {}, ...Object.values(EVENTS).map(([name, rgb]) => make('span', { style: 'margin-right: .8em' }, make('i', { style: `display: inline-block; width: 1em; border-top: 3px solid rgb(${rgb.join(' ')}); vertical-align: middle; margin-right: .3em` }), name))));
   }
 
   function drawPhotons(legends) {

@@ -54,11 +54,12 @@ from etendue.transport import (
     needs_interaction,
 )
 
-from . import base
-from . import radius as radii
-from .base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
-from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .store import Group, VertexRoom, check_pyramid, concatenated
+from .. import base
+from .. import radius as radii
+from ..base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
+from ..numbers import path_numbers
+from ..store import Group, VertexRoom, check_pyramid, concatenated
+from .settings import BidirectionalSettings
 
 
 class Bidirectional(Carrying, ImageMethod):
@@ -221,12 +222,15 @@ class Bidirectional(Carrying, ImageMethod):
         it."""
         return radii.reduced(self._discs.largest, iteration, self.settings.alpha, self.samples_per_iteration)
 
+    def _radius_of(self, iteration: int) -> float:
+        """Largest merge radius of a pass, 0 without merging."""
+        radius = self.widening * self.radius(iteration) if self.techniques.merge else 0.0
+        # As many light vertices in a disc as without learning: more take time, and a smaller disc blurs less.
+        return radius / math.sqrt(self._learning.guide.crowding) if self._learning else radius
+
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        radius = self.widening * self.radius(iteration) if self.techniques.merge else 0.0
-        if self._learning:
-            # As many light vertices in a disc as without learning: more take time, and a smaller disc blurs less.
-            radius /= math.sqrt(self._learning.guide.crowding)
+        radius = self._radius_of(iteration)
         splats = self._splats(seed, iteration)
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
@@ -280,19 +284,13 @@ class Bidirectional(Carrying, ImageMethod):
         traces the next. Returns (radiance by technique family, one lane a camera path; counters)."""
         paths = run.light.count
         dr.make_opaque(run.camera, run.pixel)  # so that pilot and passes share kernels
-        mis = self._mis(run.radius, paths, run.moments)
-        dark = dr.opaque(mi.Float, self._dark)
-        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
-        common["places"] = self._discs.places
-        if self._learning:
-            common |= self._learning.fields(not run.role, run.light.first)
-        connecting = self.techniques.connection > 0
+        common = self._fields(run)
+        mis, connecting = common["mis"], self.techniques.connection > 0
         choosing = self._choosing if connecting else None
-        common["choice"] = choosing.guide if choosing else None
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
-            owned = common.get("training") is not None
+            owned = common.get("training") is not None or self.recording.light is not None
             vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned)
         if run.splats:
             sink = SplatSink(
@@ -301,8 +299,7 @@ class Bidirectional(Carrying, ImageMethod):
                 paths_per_sample=mis.paths_per_sample,
                 components=self.settings.components,
             )
-        stride = self._paths if self.settings.sampler == "hammersley" else max(self._paths, self.light_stride)
-        source = self.light_numbers(run.light, stride, run.seed, run.iteration, run.role + "light")
+        source = self.light_numbers(run.light, self._stride, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
         for film in (run.splats, run.pyramid, run.moments):
@@ -321,10 +318,10 @@ class Bidirectional(Carrying, ImageMethod):
         )
         first = self.first_hits(run.camera, run.iteration)
         common |= {"sink": layers, "cache": cache, "gather": gather, "first": first}
-        trained = choosing.training(not run.role, run.light.first) if choosing else None
+        trained = choosing.training(self._trains(run), run.light.first) if choosing else None
         walk = self.walker(CameraWalk, **common, choosing=trained)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
-        radiance, rays = walk.trace(run.pixel, source)
+        radiance, rays = walk.trace(run.pixel, source, run.camera)
         parts, bad = {name: value for name, value in radiance.items() if name not in self._more_radii}, {}
         together, bad["parts"] = self.kept_together(parts)
         radiance |= together
@@ -344,6 +341,40 @@ class Bidirectional(Carrying, ImageMethod):
             "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,
             "nonfinite": total(light_bad) + sum(total(flags) for flags in bad.values()),
         }
+
+    def _fields(self, run: Group) -> dict[str, Any]:
+        """Fields of both walks."""
+        mis, dark = self._mis(run.radius, run.light.count, run.moments), dr.opaque(mi.Float, self._dark)
+        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
+        choosing = self._choosing if self.techniques.connection else None
+        common |= {"places": self._discs.places, "choice": choosing.guide if choosing else None}
+        return common | (self._learning.fields(self._trains(run), run.light.first) if self._learning else {})
+
+    def _trains(self, run: Group) -> bool:
+        """Whether learned densities are trained: not by the pilot, nor by rays that are recorded."""
+        return not run.role and self.recording.light is None
+
+    @property
+    def _stride(self) -> int:
+        """Points of the light paths' sequence that a pass takes."""
+        return self._paths if self.settings.sampler == "hammersley" else max(self._paths, self.light_stride)
+
+    # ------------------------------------------------------------------ rays
+
+    def _group(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> Group:
+        light, pixel = Lanes(0, self._paths).part(0, self._groups), lanes // dr.opaque(mi.UInt32, samples)
+        films = self._splats(seed, iteration), None, self._room.capacity(light.count)
+        return Group("", iteration, seed, self._radius_of(iteration), light, lanes, pixel, samples, *films)
+
+    def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        self._trace(self._group(lanes, samples, iteration, seed))
+
+    def trace_from_lights(self, number: mi.UInt32, iteration: int, seed: int) -> None:
+        """See :class:`ShowsRays`."""
+        o, fields = self.settings, self._fields(self._group(number, 1, iteration, seed))
+        source = path_numbers(o.sampler, number, self._stride, seed, iteration, "light", o.scrambling)
+        dr.eval(self.walker(LightWalk, **fields).trace(dr.width(number), source))
 
     def _cache(self, vertices: LightVertices | None, paths: int, picks: IndependentSource) -> LightCache | None:
         """The stored vertices, numbered for connections."""
@@ -369,31 +400,3 @@ class Bidirectional(Carrying, ImageMethod):
         factors = [dr.opaque(mi.Float, 1.0 / (np.pi * square * paths)) for square in squares]
         limits = [dr.opaque(mi.Float, square) for square in squares]
         return Gather(grid, vertices.sorted_by(grid.destination, held), factors, limits)
-
-
-class Bpt(Bidirectional):
-    """Bidirectional path tracing: all techniques that connect vertices, no merging."""
-
-    name: ClassVar[str] = "bpt"
-    Settings: ClassVar[type[ImageSettings]] = BptSettings
-    citations: ClassVar[tuple[str, ...]] = (
-        "LafortuneWillems1993",
-        "VeachGuibas1995",
-        "Davidovic2014",
-        "Georgiev2012b",
-        "Su2022",
-    )
-
-
-class Bpm(Bidirectional):
-    """Bidirectional photon mapping: merging at every camera vertex, no connections."""
-
-    name: ClassVar[str] = "bpm"
-    Settings: ClassVar[type[ImageSettings]] = BpmSettings
-    citations: ClassVar[tuple[str, ...]] = ("Vorba2011", "Georgiev2012", "Georgiev2012b")
-
-
-class Vcm(Bidirectional):
-    """Vertex connection and merging: all techniques, combined by multiple importance sampling."""
-
-    name: ClassVar[str] = "vcm"

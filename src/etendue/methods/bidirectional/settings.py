@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from etendue.core import OptionError, setting
 from etendue.transport import GUIDE, GUIDE_CHOICES, MANY, PYRAMID_MAX, dimensions
 
-from . import radius as radii
-from .base import CameraSettings
+from .. import radius as radii
+from ..base import CameraSettings
 
 _CONNECTING = "connect vertices: hits on lights, next event, connections of light and camera vertices, camera splats"
 _MERGING = "merge camera vertices with the light vertices within the merge radius (photon density estimation)"
