@@ -1,4 +1,4 @@
-"""The house rules of the source: rooms in order, no type of a variant at import, no print, files of a readable size."""
+"""The house rules of the source: rooms in order, no type of a variant at import, no print."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import importlib.util
 import re
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -30,8 +29,6 @@ FORBIDDEN = {
     "distributed": {"methods", "radiosity"},
     "display": {"methods", "radiosity", "engine"},
 }
-MAX_LINES = 400
-MAX_FILES = 15
 FILES = sorted(SOURCE.rglob("*.py"))
 #: A citation in a docstring or comment: [Georgiev 2012, eq. 31] stands for the key Georgiev2012; several take a ";".
 CITATION = re.compile(r"\[([A-Z][A-Za-z]+ (?:19|20)\d\d\w*\b[^\]\n]*)\]")
@@ -133,17 +130,6 @@ def test_the_check_itself_finds_faults(room, text, wrong, tmp_path, monkeypatch)
     path.write_text(text)
     found = faults_of_order(path)
     assert (found == []) if wrong is None else (len(found) >= 1 and wrong in found[0])
-
-
-def test_files_are_of_a_readable_size():
-    lines = {str(path.relative_to(SOURCE)): len(path.read_text("utf-8").splitlines()) for path in FILES}
-    assert {path: count for path, count in lines.items() if count > MAX_LINES} == {}
-
-
-def test_folders_are_of_a_readable_size():
-    """Modules of a folder, without its ``__init__``."""
-    count = Counter(path.parent for path in FILES if path.name != "__init__.py")
-    assert {str(folder): n for folder, n in count.items() if n > MAX_FILES} == {}
 
 
 def test_the_library_does_not_print():
