@@ -55,7 +55,7 @@ def test_the_scene_is_edited_and_drawn(size, touch, tmp_path):
             await tab.press("ArrowLeft")
             await tab.until(f"{PAINTED} > {painted}")
             await tab.value("press('Paths', 'Trace')")
-            await tab.until("part('Paths').textContent.includes('light points reached')")
+            await tab.until("part('Paths').textContent.includes('100 paths of path. Edges:')")
             await tab.value("press('Radiosity', 'Solve')")
             await tab.until("part('Radiosity').textContent.includes('bundles')")
             await tab.until("document.querySelector('.scale')?.textContent.includes('radiosity')")
@@ -67,4 +67,44 @@ def test_the_scene_is_edited_and_drawn(size, touch, tmp_path):
             assert not tab.errors
 
     with etendue.view("cornell-box", "path", size=(48, 36), samples=8, max_depth=3, folder=tmp_path) as viewer:
+        asyncio.run(visit(viewer))
+
+
+def test_rays_are_drawn_over_the_picture_and_follow_it(tmp_path):
+    """Unfolding the section traces; so does every click, and another method."""
+    lines = "document.querySelectorAll('#overlay g path').length"
+    note = "part('Paths').querySelector('p').textContent"
+    colours = "new Set([...document.querySelectorAll('#overlay g path')].map((p) => p.getAttribute('stroke')))"
+
+    async def visit(viewer):
+        async with Browser() as tab:
+            await tab.open(viewer.url)
+            await tab.until("document.body.dataset.passes >= 2")
+            await tab.value(TOOLS)
+            await tab.value("part('3-D view').open = part('Paths').open = true")
+            await tab.until(f"{note}.endsWith(' …')")  # what is being done
+            await tab.until(f"{note}.startsWith('100 paths of vcm. Edges:')")
+            await tab.until(f"{lines} > 200")
+            assert await tab.value(f"{colours}.size") >= 4  # camera and light paths, light points, connections, ...
+            both = await tab.value(lines)
+            await tab.value(
+                "[...part('Paths').querySelectorAll('label')].find((l) => l.textContent === 'light paths').click()"
+            )
+            await tab.until(f"{lines} < {both} && {lines} > 100")
+            drawn = "document.querySelector('#overlay g path').getAttribute('d')"
+            first = await tab.value(drawn)
+            await tab.value("document.getElementById('stage').focus()")
+            await tab.press("ArrowLeft", hold=0.3)  # another camera, so another place is clicked
+            await tab.press("KeyP")
+            await tab.until(
+                f"document.getElementById('picked').textContent.includes('material') && {drawn} !== '{first}'"
+            )
+            await tab.value("document.querySelector('select').value = 'path'")
+            await tab.value("document.querySelector('select').dispatchEvent(new Event('change'))")
+            await tab.until(f"{note}.startsWith('100 paths of path. Edges:')")
+            await tab.value("press('Paths', 'Clear')")
+            await tab.until(f"{lines} === 0")
+            assert not tab.errors
+
+    with etendue.view("cornell-box", "vcm", size=(48, 36), samples=64, folder=tmp_path) as viewer:
         asyncio.run(visit(viewer))
