@@ -65,7 +65,8 @@ def _ears(corners: Array) -> list[tuple[int, int, int]] | None:
         ring = np.array(left)
         a, b, c = flat[np.roll(ring, 1)], flat[ring], flat[np.roll(ring, -1)]
         area = _area(a, b, c)
-        quality = area / np.maximum.reduce([((x - y) ** 2).sum(axis=1) for x, y in ((a, b), (b, c), (c, a))])
+        longest = np.maximum.reduce([((x - y) ** 2).sum(axis=1) for x, y in ((a, b), (b, c), (c, a))])
+        quality = area / np.maximum(longest, np.finfo(float).tiny)  # corners may coincide
         bent = ring[area < 0]
         for k in np.argsort(-quality):
             if area[k] <= 0:
