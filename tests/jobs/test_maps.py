@@ -49,6 +49,8 @@ def test_passes_are_one_map(traced, monkeypatch):
     np.testing.assert_allclose(by_parts.map.values, at_once.map.values, rtol=1e-4)
     np.testing.assert_allclose(by_parts.map.errors, at_once.map.errors, rtol=1e-2, atol=1e-5)
     assert len(told) > 2
+    within = [text for text in told if "the surface within each kernel" in text]
+    assert len(within) > 3 and within[-1].endswith(", 100 %")
 
 
 def test_bandwidths_are_of_all_particles(traced, monkeypatch):

@@ -82,12 +82,49 @@ def test_a_fine_mesh_costs_what_a_coarse_one_does(monkeypatch):
     plain = kernels._Frames.sums
     monkeypatch.setattr(kernels._Frames, "sums", sums)
     builder = KernelBuilder(MapSurfaces(field(0.5, 1.0), 5000), 0.6)
+    builder.sums += 1.0  # light in all cells
     few = builder._weights()[:, 0]
     assert visited[0] < 4000
     monkeypatch.setattr(kernels, "_POINT", 1e-4)
     ratio = few / builder._weights()[:, 0]
     assert visited[1] > 10_000
     assert abs(ratio.mean() - 1) < 0.002 and ratio.std() < 0.01
+
+
+def test_a_mesh_that_faces_all_ways_is_searched_by_facing(monkeypatch):
+    """The integral of a cell looks at points of similar normals only, and is the same: a kernel wider than the mesh
+    would otherwise visit all of its points from each cell. Nor is it computed where there is no light."""
+
+    def sums(self, at, *others):
+        visits.append(len(at) * len(others[3]))
+        return plain(self, at, *others)
+
+    plain, visits, told = kernels._Frames.sums, [], []
+    monkeypatch.setattr(kernels._Frames, "sums", sums)
+    sphere = {"type": "sphere", "bsdf": diffuse(0.5, 0.5, 0.5)}
+    ball = {"type": "scene", "ball": sphere, "sky": {"type": "constant"}, "sensor": camera()}
+    builder = KernelBuilder(MapSurfaces(load(ball), 4000), 1.0)
+    builder.sums += 1.0
+    builder.sums[:, ::2] = 0.0
+    by_facing = builder._weights(told.append)[:, 0]
+    assert (by_facing[::2] == 0).all() and (by_facing[1::2] > 0).all()
+    assert len(told) > 10 and told == sorted(told) and told[-1] == 1.0
+    cost = sum(visits)
+    visits.clear()
+    monkeypatch.setattr(kernels, "_ALIKE", 1e9)
+    np.testing.assert_allclose(by_facing, builder._weights()[:, 0], rtol=1e-4)
+    assert len(visits) == 1 and cost < 0.4 * visits[0]
+
+
+def test_values_of_corners_wait_until_they_are_asked_for(plane, monkeypatch, tmp_path):
+    """A map that is only written needs no interpolation between cells."""
+    builder = KernelBuilder(plane, 0.25)
+    builder.add(on_plane(1000))
+    with monkeypatch.context() as patched:
+        patched.setattr("etendue.surfaces.places.vertex_radiosity", None)
+        made = builder.build()
+        save_map(tmp_path / "map.npz", made)
+    assert np.isfinite(irradiance_at(made, EDGES, np.tile(UP, (4, 1)))[0]).all()
 
 
 def test_without_a_correction_edges_are_dark(plane):

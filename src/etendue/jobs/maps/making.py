@@ -92,12 +92,10 @@ def make_map(
     builder = KernelBuilder(surfaces, widths, o.kernel, boundary)
     total = _added(builder, particles, tell, "pilot" if o.kind == "variable" else "kernels")
     if o.kind == "variable":
-        tell("pilot: the surface within each kernel")
-        widths = variable_bandwidths(builder.build(), widths)
+        widths = variable_bandwidths(_built(builder, tell, "pilot"), widths)
         builder = KernelBuilder(surfaces, widths, o.kernel, boundary)
         _added(builder, particles, tell, "kernels")
-    tell("kernels: the surface within each kernel")
-    made = builder.build()
+    made = _built(builder, tell, "kernels")
     made.kind = o.kind
     return MadeMap(made, surfaces, total)
 
@@ -128,6 +126,12 @@ def _added(
             total += len(part)
             tell(f"{name}: {total} particles in {number} passes")
     return total
+
+
+def _built(builder: KernelBuilder, tell: Callable[[str], object], name: str) -> PatchMap:
+    step = f"{name}: the surface within each kernel"
+    tell(step)
+    return builder.build(tell=lambda share: tell(f"{step}, {100 * share:.0f} %"))
 
 
 def _passes(particles: Source) -> Iterable[Particles]:

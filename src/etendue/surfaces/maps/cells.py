@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,12 +56,19 @@ class PatchMap(InNotebooks):
         if not np.isfinite(self.values).all():
             raise SurfaceError("the irradiance of a map is finite everywhere; these values are not")
         self.errors = None if errors is None else _colours(errors, len(surfaces.patches), "errors")
+
+    @cached_property
+    def _value(self) -> SurfaceValues:
+        if not self.smooth:
+            return SurfaceValues(self.surfaces, self.values)
         n = len(self.values)
-        if smooth:
-            self._value = SurfaceValues(surfaces, np.zeros((n, 1)), np.ones((n, 1)), self.values)
-        else:
-            self._value = SurfaceValues(surfaces, self.values)
-        self._error = SurfaceValues(surfaces, np.full((n, 1), np.nan) if self.errors is None else self.errors)
+        return SurfaceValues(self.surfaces, np.zeros((n, 1)), np.ones((n, 1)), self.values)
+
+    @cached_property
+    def _error(self) -> SurfaceValues:
+        return SurfaceValues(
+            self.surfaces, np.full((len(self.values), 1), np.nan) if self.errors is None else self.errors
+        )
 
     def irradiance(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool = True) -> Irradiance:
         """See :class:`SurfaceMap`."""

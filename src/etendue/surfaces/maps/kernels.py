@@ -15,11 +15,12 @@ pilot estimate E_p and its geometric mean g [Abramson 1982; Leeson 2001, sec. 5.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Literal, get_args
 
 import drjit as dr
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, copied_to_device
 from etendue.density import KdTree, Kernel, kernel_of, relative_widths
@@ -34,6 +35,7 @@ from .rectangles import Mirror
 if TYPE_CHECKING:
     import mitsuba as mi
 
+Index = NDArray[np.int64]
 Correction = Literal["none", "renormalise", "linear", "reflect"]
 
 #: Least cosine between the normals of a place and of a particle that counts there, and greatest height of the particle
@@ -41,6 +43,10 @@ Correction = Literal["none", "renormalise", "linear", "reflect"]
 SAME_SIDE, FLAT = 0.8, 0.3
 #: Edge, in reaches of a kernel, of the grid in which points of the integral over the surface become one.
 _POINT = 1 / 8
+#: Components of unit normals of cells that are searched together differ by at most this much.
+_ALIKE = 0.8
+#: Tolerance of their angles, for single precision.
+_ROUNDING = 1e-3
 #: Least reach of a kernel in cells; with less, the integral over the surface is inaccurate.
 _LEAST_REACH = 2.0
 #: Least and greatest bandwidth of a variable kernel, relative to that of a fixed one.
@@ -107,8 +113,9 @@ class KernelBuilder:
                 part, h = self._mirror.images(part, h, self.kernel.reach)
             self.sums[number] += self._frames.sums(part, h, self.kernel, self._moments)
 
-    def build(self, smooth: bool = True) -> PatchMap:
+    def build(self, smooth: bool = True, tell: Callable[[float], object] = lambda share: None) -> PatchMap:
         """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none.
+        ``tell`` receives the share of the integrals over the surface that is done.
 
         Values of ``linear`` may be below zero in the dark beside light: if they were clipped, the mean of maps would
         be too bright there.
@@ -116,11 +123,12 @@ class KernelBuilder:
         if not self.particles:
             raise SurfaceError("there are no particles, so no map: add some first")
         self.surfaces.warn_of_dark(np.array(sorted(self._seen)))
-        values, errors = mean_of_groups(np.einsum("nm,gnmc->gnc", self._weights(), self.sums))
+        values, errors = mean_of_groups(np.einsum("nm,gnmc->gnc", self._weights(tell), self.sums))
         return PatchMap(self.surfaces.places, values, errors, smooth=smooth, kind="kernel", space=self.surfaces.space)
 
-    def _weights(self) -> Array:
-        """(n, moments) factors of the sums, from the same sums over the surface instead of the particles."""
+    def _weights(self, tell: Callable[[float], object] = lambda share: None) -> Array:
+        """(n, moments) factors of the sums, from the same sums over the surface instead of the particles. Cells without
+        light have none."""
         n = len(self.bandwidths)
         if self.boundary == "none":
             return np.ones((n, 1))
@@ -130,7 +138,13 @@ class KernelBuilder:
             points, h = self._mirror.images(points, h, self.kernel.reach)
         few, chosen = merged(points, points.shape, h, _POINT * self.kernel.reach * self.surfaces.space.scale)
         moments = 6 if self.boundary == "linear" else 1
-        found = self._frames.sums(few, h[chosen], self.kernel, moments)[:, :, 0]
+        found = np.zeros((n, moments))
+        done, lit = 0, self.sums.any(axis=(0, 2, 3))
+        for cells, near in self._frames.alike(np.flatnonzero(lit), few):
+            part, widths = few.only(near), h[chosen[near]]
+            found[cells] = self._frames.sums(part, widths, self.kernel, moments, cells)[:, :, 0]
+            done += len(cells)
+            tell(done / np.count_nonzero(lit))
         share = found[:, 0]
         plain = np.divide(1.0, share, out=np.zeros(n), where=share > 0)
         if self.boundary != "linear":
@@ -170,6 +184,7 @@ class _Frames:
         import mitsuba as mi
 
         patches, shapes = surfaces.patches, surfaces.shapes
+        self._normals = patches.normals
         self.apart = Apart(patches, surfaces.space, shapes)
         # Neighbouring lanes visit the same nodes of a tree if they are close in space, as the cells of a face are.
         centres = surfaces.space.from_scene(patches.centres)
@@ -179,10 +194,27 @@ class _Frames:
         self._shape = copied_to_device(mi.Float, shapes.astype(np.float32))
         dr.eval(self._s, self._t)
 
-    def sums(self, at: Located, bandwidths: Array, kernel: Kernel, moments: int) -> Array:
+    def alike(self, cells: Index, at: Located) -> Iterator[tuple[Index, Index]]:
+        """``cells`` in groups of similar normals, and of the points ``at`` those whose normals agree with any of the
+        group: where a mesh faces all ways, most of the points near a cell do not count there."""
+        normals = self._normals[cells]
+        group = np.unique(np.rint(normals / _ALIKE), axis=0, return_inverse=True)[1].reshape(-1)
+        for number in range(group.max(initial=-1) + 1):
+            ours = np.flatnonzero(group == number)
+            axis = normals[ours].mean(axis=0)
+            axis /= np.linalg.norm(axis)
+            widest = np.arccos(np.clip(normals[ours] @ axis, -1, 1)).max() + np.arccos(SAME_SIDE) + _ROUNDING
+            yield cells[ours], np.flatnonzero(at.normal @ axis >= np.cos(min(widest, np.pi)) - _ROUNDING)
+
+    def sums(self, at: Located, bandwidths: Array, kernel: Kernel, moments: int, cells: Index | None = None) -> Array:
         """(n, moments, 3) sums of powers times kernels of ``bandwidths`` (m,), per area of the scene, times 1, u, v,
-        u u, u v, v v: tangential offsets in radii of the scene."""
+        u u, u v, v v: tangential offsets in radii of the scene. ``cells``: of these only."""
         import mitsuba as mi
+
+        centre, normal, tangents, shape = self._p, self._n, [self._s, self._t], self._shape
+        if cells is not None:
+            row = copied_to_device(mi.UInt32, cells.astype(np.uint32))
+            centre, normal, *tangents, shape = (dr.gather(type(x), x, row) for x in (centre, normal, *tangents, shape))
 
         h = self.apart.length(bandwidths)
         places = self.apart.located(at.position, self.apart.number(at.shape))
@@ -198,18 +230,19 @@ class _Frames:
 
         def add(place: mi.UInt32, distance: mi.Float, state: tuple[mi.Color3f, ...]) -> tuple[mi.Color3f, ...]:
             x, n, c = (dr.gather(mi.Vector4f, packed, 3 * place + k) for k in range(3))
-            offset = mi.Vector3f(x.x, x.y, x.z) - self._p
-            height = dr.dot(self._n, offset)
-            counts = (dr.dot(self._n, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE) & (n.w == self._shape)
+            offset = mi.Vector3f(x.x, x.y, x.z) - centre
+            height = dr.dot(normal, offset)
+            counts = (dr.dot(normal, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE) & (n.w == shape)
             counts &= dr.square(height) * x.w <= FLAT * FLAT
             weight = dr.select(counts, kernel.profile(dr.minimum(distance * x.w, limit)), 0.0)
             value = mi.Color3f(c.x, c.y, c.z) * weight
-            u, v = dr.dot(self._s, offset), dr.dot(self._t, offset)
+            u, v = (dr.dot(tangent, offset) for tangent in tangents)
             factors = (1.0, u, v, u * u, u * v, v * v)[:moments]
             return tuple(total + value * factor for total, factor in zip(state, factors, strict=True))
 
-        start = tuple(dr.zeros(mi.Color3f, dr.width(self._p)) for _ in range(moments))
-        found = tree.covering(self._p, start, add)
+        start = tuple(dr.zeros(mi.Color3f, dr.width(centre)) for _ in range(moments))
+        dr.eval(centre, normal, tangents, shape)
+        found = tree.covering(centre, start, add)
         dr.eval(found)
         return np.stack([np.array(part, dtype=np.float64).T for part in found], axis=1)
 
