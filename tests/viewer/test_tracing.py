@@ -71,6 +71,7 @@ def test_pictures_go_on_while_rays_are_traced(tmp_path: Any) -> None:
         talk(viewer, conversation)
 
 
+@pytest.mark.slow
 def test_a_solution_of_radiosity_is_made_by_the_process(tmp_path: Any) -> None:
     async def conversation(page: Page) -> None:
         await passes(page, 2)
@@ -155,6 +156,7 @@ def test_the_process_has_the_lights_the_changes_and_the_camera_of_the_session(tm
         talk(viewer, conversation)
 
 
+@pytest.mark.slow
 def test_the_process_has_what_the_method_has_learned(tmp_path: Any) -> None:
     async def conversation(page: Page) -> None:
         await passes(page, 8)
@@ -216,6 +218,7 @@ def test_the_process_ends_with_the_viewer_while_it_works(tmp_path: Any, monkeypa
     assert process._process.wait(10) != 0
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_is_told_and_replaced(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     processes = started(monkeypatch)
 
@@ -290,6 +293,7 @@ def test_a_scene_in_memory_is_traced_by_the_session(kind: str, tmp_path: Any) ->
         talk(viewer, conversation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "words"), [("larger", "has changed"), ("broken", "")])
 def test_a_scene_that_the_process_cannot_load_is_traced_by_the_session(change: str, words: str, tmp_path: Any) -> None:
     """Its file is another one now, or it has plugins that only this process has registered."""
@@ -311,6 +315,7 @@ def test_a_scene_that_the_process_cannot_load_is_traced_by_the_session(change: s
         talk(viewer, conversation)
 
 
+@pytest.mark.slow
 def test_only_the_latest_click_of_a_page_is_answered(tmp_path: Any) -> None:
     async def conversation(page: Page) -> None:
         await passes(page, 1)
