@@ -373,6 +373,23 @@ def test_command_with_a_filter_for_each_component(tmp_path):
     assert made.metadata["developed"]["denoise"] == asked
 
 
+@pytest.mark.parametrize(
+    ("metadata", "said"),
+    [
+        ({"merge_radius": {"pixels": 1.5}}, True),
+        ({"merge_radius": {"pixels": 1.5}, "chosen": "vcm with 1 light paths, 1 connections"}, True),
+        ({"merge_radius": {"pixels": 1.5}, "chosen": "bpt with 0.5 light paths, 2 connections"}, False),
+        ({}, False),
+    ],
+)
+def test_what_does_not_suit_the_network_is_told(metadata, said, tmp_path, capsys):
+    installed("oidn")
+    write_exr(tmp_path / "a.exr", Result({"image": constant(1, 1, 1)}, metadata))
+    for denoise, told in (("oidn", said), ("image=oidn", said), ("bilateral", False)):
+        assert main(["develop", str(tmp_path / "a.exr"), "--denoise", denoise]) == 0
+        assert ("blotches of merged photons" in capsys.readouterr().err) == told
+
+
 def test_a_denoiser_does_not_change_the_exposure(tmp_path):
     """A dark picture with bright noise, which a filter spreads over all pixels."""
     r = np.random.default_rng(1)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -73,6 +74,8 @@ def develop(
     if has_network and isinstance(settings, dict) and settings.get("reconstruction") == "neighbours":
         text = "neighbouring pixels share samples, which oidn takes for structure unless the film's filter is a box"
         note(console, f"{text}: render with --for-denoising")
+    if has_network and _merges(read.metadata):
+        note(console, "oidn takes the blotches of merged photons for structure: nlm and bilateral suit them better")
     developed = display.develop(
         read.layers,
         denoise,
@@ -92,3 +95,8 @@ def develop(
         )
         say(str(path))
     return 0
+
+
+def _merges(metadata: Mapping[str, Any]) -> bool:
+    """Whether the passes of a picture have merged photons."""
+    return "merge_radius" in metadata and not str(metadata.get("chosen", "")).startswith(("path", "bpt"))
