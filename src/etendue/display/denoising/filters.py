@@ -117,10 +117,10 @@ def _noise(component: Picture, variance: Picture | None) -> Picture:
     frame = Frame(width, height)
     for down in (False, True):
         values = frame.along(down, 1, values)
-    around = unpacked(values[0], height, width)
+    around = unpacked(values[0], height, width).astype(np.float64)  # of light that may be faint
     level = max(float((np.maximum(component, 0.0) @ light).mean()), 1e-20)
-    noise = around[:, :, :1] / np.square(level + around[:, :, 1:2])
-    return np.minimum(np.square(np.float32(_NOISE / _COLOUR)) * noise, np.float32(_FAR))
+    noise = (_NOISE / _COLOUR) ** 2 * around[:, :, :1] / np.square(level + around[:, :, 1:2])
+    return np.minimum(noise, _FAR).astype(np.float32)
 
 
 def _mixture(guides: Sequence[Picture], height: int, width: int) -> Picture:
@@ -153,9 +153,8 @@ def guided(component: Picture, features: Features, radius: int, strength: float)
     count = sum(layer.shape[2] for layer in layers)
     noise = np.full_like(light, _LIGHT_NOISE)
     if features.variance is not None:
-        noise = (
-            _LIGHT_VARIANCE * np.maximum(features.variance, 0.0).mean(axis=2, keepdims=True) / np.float32(level) ** 2
-        )
+        variance = np.maximum(features.variance, 0.0).mean(axis=2, keepdims=True, dtype=np.float64)
+        noise = np.minimum(_LIGHT_VARIANCE * variance / level**2, 1e20).astype(np.float32)
     guides, value = [packets(layer) for layer in layers], packets(np.concatenate([component, noise], axis=2))
     dr.eval(guides, value)
 
