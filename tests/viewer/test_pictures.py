@@ -105,7 +105,7 @@ def test_a_denoiser_for_each_component(folder):
     asked = "bilateral,indirect=gaussian:radius=7:strength=2,direct=none"
 
     async def conversation(page):
-        state, _ = await page.until("state", lambda m: m["loaded"])
+        state, _ = await page.until("state", lambda m: m["components"])
         assert sorted(state["components"]) == sorted(COMPONENTS) and state["filters"] == {}
         page.send("show", denoise=asked, radius=3)
         state, _ = await page.until("state", lambda m: m["show"]["denoise"])
