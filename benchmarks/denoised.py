@@ -1,4 +1,5 @@
-"""Pictures of a short run, denoised, beside raw ones of a run eight times as long: FLIP against a reference.
+"""Pictures of a short run, denoised, beside raw ones of a run eight times as long: FLIP against a reference; and relMSE
+of pictures of few samples before and after each denoiser.
 
 Pictures, pieces of references and measures are kept in a folder, each written when it is done: a command that was
 stopped, or that asks for more seeds, goes on from there.
@@ -26,7 +27,7 @@ from etendue.core import Result
 from etendue.display.denoising import Picture
 
 from .measuring import PUBLIC_SCENES, ROOT, Record, console
-from .options import Names, Seeds, words
+from .options import Names, Seeds, whole_numbers, words
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,15 @@ CASES = {
     "grey-white-room": Case("path", (640, 360), public=True),
 }
 SCENES = ",".join(CASES)
-#: What pictures to be denoised are rendered with: several passes tell the variance.
-_FOR_DENOISING = {"aovs": True, "components": True, "reconstruction": "independent"}
+#: Scenes for pictures of few samples.
+FEW = {
+    "cornell-glass": Case("bpt", (256, 256)),
+    "skylight": Case("path", (256, 192)),
+    "stage": Case("auto", (256, 192)),
+}
+FEW_SCENES = ",".join(FEW)
+#: Difference of the albedo of a surface and of what it shows from which on a pixel counts as mirror or glass.
+_MIRROR = 0.02
 #: Seconds of a piece of a reference, and the seed of the first.
 _PIECE, _REFERENCE_SEED = 60.0, 7001
 #: Largest noise of a reference that tells pictures apart, relative to that of the raw picture of the long run.
@@ -79,6 +87,60 @@ def measure(
         if not only_reference:
             used = method or case.method
             yield _compared(folder, name, case, used, list(denoisers), (short, long), range(1, seeds + 1), truth)
+
+
+def few_samples(
+    scenes: Names = FEW_SCENES,
+    denoisers: Annotated[Any, typer.Option(parser=words, metavar="NAMES")] = "bilateral,guided,gaussian,nlm,oidn",
+    samples: Annotated[Any, typer.Option(parser=whole_numbers, metavar="N,...")] = "4,16",
+    seeds: Seeds = 2,
+    reference: Annotated[float, typer.Option(help="Seconds of a reference, in all its pieces.")] = 180.0,
+    out: Annotated[str, typer.Option(help="Folder of what is kept.", metavar="DIR")] = "benchmarks-denoise",
+) -> Iterator[Record]:
+    """relMSE of pictures of few samples, raw and denoised, everywhere and in mirrors and glass."""
+    folder = ROOT / out
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in scenes:
+        case = FEW[name]
+        truth = _reference(folder, name, case, reference)
+        width, height = case.size
+        record = Record(
+            f"Denoised after few samples, {name} by {case.method}, {width}x{height}",
+            ("", *(f"{what}, {count} samples" for count in samples for what in ("relMSE", "mirrors", "flat"))),
+        )
+        rows: dict[str, list[str]] = {}
+        for count in samples:
+            made = [_few(folder, name, case, count, seed) for seed in range(1, seeds + 1)]
+            for kind in ["", *denoisers]:
+                found = np.mean([_errors(layers, kind, truth.image) for layers in made], axis=0)
+                rows.setdefault(kind or "raw", []).extend(f"{value:.3g}" for value in found)
+        for row, values in rows.items():
+            record.add(row, *values)
+        record.notes += [
+            f"relMSE: means of {seeds} seeds; mirrors: in the pixels that show mirrors or glass; flat: there, with the "
+            "features of mirrors and glass in place of what they show",
+            f"reference: {truth.about}, whose noise is a relMSE of {truth.noise:.2g}",
+        ]
+        yield record
+
+
+def _few(folder: Path, name: str, case: Case, samples: int, seed: int) -> dict[str, Picture]:
+    path = folder / f"{name}-{case.size[0]}x{case.size[1]}-{case.method}-{samples}-{seed}.exr"
+    settings = {"for_denoising": True, **case.settings}
+    made = _kept(path, lambda: _rendered(name, case, case.method, None, seed, settings, samples=samples))
+    return made.layers
+
+
+def _errors(layers: Mapping[str, Picture], denoiser: str, truth: Picture) -> tuple[float, float, float]:
+    """relMSE of a picture, of its mirrors and glass, and of these with the features of the mirrors themselves."""
+    flat = {name: layer for name, layer in layers.items() if not name.startswith("seen_")}
+    mirrors = np.abs(layers["seen_albedo"] - layers["albedo"]).max(axis=2) > _MIRROR
+    image, by_mirrors = (display.develop(some, denoiser or None, tell=lambda _: None) for some in (layers, flat))
+    return (
+        film.relative_mse(image, truth),
+        film.relative_mse(image[mirrors][None], truth[mirrors][None]),
+        film.relative_mse(by_mirrors[mirrors][None], truth[mirrors][None]),
+    )
 
 
 @dataclass(frozen=True)
@@ -137,7 +199,7 @@ def _compared(
         )
         made = _kept(
             folder / f"{stem}-{short:g}s-{seed}.exr",
-            lambda s=seed: _rendered(name, case, method, short, s, _FOR_DENOISING | dict(case.settings), warm=True),
+            lambda s=seed: _rendered(name, case, method, short, s, {"for_denoising": True, **case.settings}, warm=True),
         )
         rows: dict[str, Callable[[], Picture]] = {f"raw, {long:g} s": lambda r=raw: r.image}
         for kind in denoisers:
@@ -220,12 +282,19 @@ def _kept(path: Path, make: Callable[[], Result]) -> Result:
 
 
 def _rendered(
-    name: str, case: Case, method: str, seconds: float, seed: int, settings: Mapping[str, Any], warm: bool = False
+    name: str,
+    case: Case,
+    method: str,
+    seconds: float | None,
+    seed: int,
+    settings: Mapping[str, Any],
+    warm: bool = False,
+    samples: int | None = None,
 ) -> Result:
     # One copy for all: kernels contain the materials of every scene in memory.
     problem = scene.load(case.source(name), size=case.size)
     source, settings = problem.scene, {"max_depth": problem.max_depth} | dict(settings)
     if warm:
         render(source, method, samples=2, size=case.size, seed=seed, **settings)
-    made: Result = render(source, method, seconds=seconds, size=case.size, seed=seed, **settings)
+    made: Result = render(source, method, seconds=seconds, samples=samples, size=case.size, seed=seed, **settings)
     return made

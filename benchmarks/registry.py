@@ -75,6 +75,9 @@ PROGRAMS = {
                 Benchmark(
                     "denoise", "denoised.measure", 38, "Denoised after 5 s against raw after 40 s.", in_all=False
                 ),
+                Benchmark(
+                    "few-samples", "denoised.few_samples", 15, "relMSE after few samples, denoised.", in_all=False
+                ),
                 Benchmark("learned-light", "learned_light.measure", 75, "Learned light: on beside off.", in_all=False),
                 Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),

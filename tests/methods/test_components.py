@@ -14,7 +14,7 @@ from support.statistics import assert_agree
 from support.tables import thinned
 
 from etendue.core import OptionError
-from etendue.film import COMPONENTS
+from etendue.film import COMPONENTS, is_variance, variance_of
 from etendue.methods import base, get
 
 PASSES, SAMPLES = 6, 256
@@ -166,7 +166,7 @@ def test_first_hits_are_recorded_by_the_walk(name, monkeypatch):
         patch.setattr(base, "Walker", lambda **_: pytest.fail("rays were traced for the layers alone"))
         measured = runner.step(0, 1)
     traced, _ = runner.first_layers(0, 1, 8)
-    assert sorted(traced) == ["albedo", "depth", "emitted", "normal"]
+    assert sorted(traced) == ["albedo", "depth", "emitted", "normal", "seen_albedo", "seen_normal", "seen_share"]
     for layer, expected in traced.items():
         np.testing.assert_allclose(measured.mean(layer), expected / 8.0, rtol=1e-6, err_msg=layer)
     np.testing.assert_allclose(measured.mean("emitted"), measured.mean(), rtol=1e-5, atol=1e-6)
@@ -182,6 +182,114 @@ def test_of_many_camera_paths_of_a_pixel_the_first_ones_tell_the_first_hits(name
     assert np.abs(few.mean() - many.mean()).max() > 1e-3
     for layer in ("albedo", "normal", "depth", "emitted"):
         np.testing.assert_allclose(many.mean(layer), few.mean(layer), rtol=1e-4, atol=1e-5, err_msg=layer)
+
+
+SEEN = ("path", "bpt", "vcm", "sppm", "guided", "vegas", "stratified", "light", "pssmlt", "auto")
+
+
+def wall_behind(pane: dict[str, Any]) -> Any:
+    """A wall of albedo (0.2, 0.4, 0.6) behind the camera and one before it, which a pane hides; and a lamp."""
+    wall = scenes.diffuse(0.2, 0.4, 0.6)
+    turned = scenes.transform().translate([0.0, 0.5, 3.0]).rotate([0, 1, 0], 180).scale(9.0)
+    return scenes.load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera((0.0, 0.5, 0.0), (0.0, 0.5, -1.0), 60.0),
+            "pane": pane,
+            "before": {
+                "type": "rectangle",
+                "to_world": scenes.transform().translate([0.0, 0.5, -3.0]).scale(9.0),
+                "bsdf": wall,
+            },
+            "behind": {"type": "rectangle", "to_world": turned, "bsdf": wall},
+            "lamp": scenes.lamp((0.0, 3.0, 0.0), 0.4, 5.0) | {"bsdf": scenes.diffuse(0.0, 0.0, 0.0)},
+        }
+    )
+
+
+@pytest.mark.parametrize("name", thinned(SEEN, ("path", "bpt", "light")))
+def test_what_is_seen_in_a_mirror(name):
+    """The wall behind the camera, in all pixels, as dark as the mirror shows it."""
+    place = scenes.transform().translate([0.0, 0.5, -1.0]).scale(4.0)
+    grey = {"type": "conductor", "material": "none", "specular_reflectance": scenes.rgb(0.5, 0.5, 0.5)}
+    problem = wall_behind({"type": "rectangle", "to_world": place, "bsdf": grey})
+    layers = first_layers(problem, name)
+    np.testing.assert_allclose(layers["seen_albedo"], np.broadcast_to((0.1, 0.2, 0.3), (12, 16, 3)), rtol=1e-4)
+    np.testing.assert_allclose(layers["seen_normal"], np.broadcast_to((0.0, 0.0, -1.0), (12, 16, 3)), atol=1e-3)
+    assert not layers["albedo"].any() and (layers["normal"][:, :, 2] > 0.99).all()
+    assert "seen_share" not in layers
+
+
+@pytest.mark.parametrize("name", thinned(SEEN, ("path", "bpt", "light")))
+def test_what_is_seen_through_glass_is_not_noisy(name):
+    """The few paths that the pane reflects, to another wall, do not count, nor do those that roulette ends."""
+    pane = {
+        "type": "cube",
+        "to_world": scenes.transform().translate([0.0, 0.5, -1.5]).scale([4.0, 4.0, 0.05]),
+        "bsdf": {"type": "dielectric"},
+    }
+    layers = first_layers(wall_behind(pane), name)
+    near = np.s_[3:-3, 3:-3]  # further away, glass reflects more
+    normal = layers["seen_normal"][near]
+    np.testing.assert_allclose(normal, np.broadcast_to((0.0, 0.0, 1.0), normal.shape), atol=1e-3)
+    hue = layers["seen_albedo"][near] / layers["seen_albedo"][near][:, :, 2:]
+    np.testing.assert_allclose(hue, np.broadcast_to((1 / 3, 2 / 3, 1.0), hue.shape), rtol=1e-4)
+
+
+def first_layers(problem: Any, name: str) -> dict[str, np.ndarray]:
+    """Layers of two passes of two camera rays per pixel."""
+    runner = prepared(problem, name, samples_per_pass=2, aovs=True)
+    measured = runner.step(0, 1)
+    measured += runner.step(1, 1)
+    return runner.develop(measured).layers
+
+
+@pytest.mark.parametrize("name", ["path", "bpt", "light"])
+def test_without_mirrors_there_is_no_layer_of_what_is_seen_in_them(name):
+    floor = scenes.plate((0.0, 0.0, 0.0), 0.5, up=True)
+    problem = scenes.load({"type": "scene", "sensor": scenes.camera(), "floor": floor, **scenes.EMITTERS["sphere"]()})
+    layers = first_layers(problem, name)
+    assert layers["albedo"].any() and not [layer for layer in layers if layer.startswith("seen_")]
+
+
+def test_what_is_seen_directly_is_the_first_surface():
+    """Also where there is none. The mirror is out of sight."""
+    floor = scenes.plate((0.0, 0.0, 0.0), 0.5, up=True)
+    mirror = {"type": "sphere", "center": [0.0, 50.0, 0.0], "radius": 1.0, "bsdf": {"type": "conductor"}}
+    scene = {"type": "scene", "sensor": scenes.camera(), "floor": floor, "mirror": mirror}
+    layers = first_layers(scenes.load(scene | scenes.EMITTERS["sphere"]()), "path")
+    lit = layers["albedo"].max(axis=2)
+    assert (lit == 0.0).any() and (lit > 0.0).any()
+    for what in ("albedo", "normal"):
+        np.testing.assert_allclose(layers[f"seen_{what}"], layers[what], atol=1e-6)
+
+
+@pytest.mark.parametrize("settings", [{"components": True}, {"split_layers": True}, {}])
+def test_the_variance_of_each_part(settings):
+    """That between the passes, over their number."""
+    runner = prepared(hall(), "bpt", samples_per_pass=4, aovs=True, **settings)
+    passes = [runner.step(i, 1) for i in range(4)]
+    parts = [name for name in passes[0].sums if name in base.PARTS]
+    means = {name: np.stack([m.mean(name) for m in passes]) for name in ("image", *parts)}
+    total = passes[0]
+    for more in passes[1:]:
+        total += more
+    layers = runner.develop(total).layers
+    assert len(parts) == (4 if settings else 0)
+    assert sorted(filter(is_variance, layers)) == sorted(map(variance_of, ("image", *parts)))
+    for name, values in means.items():
+        expected = values.var(axis=0, ddof=1) / len(passes)
+        np.testing.assert_allclose(layers[variance_of(name)], expected, rtol=1e-3, atol=1e-9)
+
+
+def test_chains_have_the_variance_of_components():
+    runner = prepared(hall(), "pssmlt", samples_per_pass=4, aovs=True, components=True, bootstrap=1 << 12)
+    measured = runner.step(0, 1)
+    measured += runner.step(1, 1)
+    layers = runner.develop(measured).layers
+    for name in COMPONENTS:
+        assert (layers[variance_of(name)] >= 0.0).all()
+    assert layers[variance_of("indirect")].any()
 
 
 def test_the_shape_in_the_middle_of_each_pixel():

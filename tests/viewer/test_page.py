@@ -38,6 +38,35 @@ ORIGIN_FIELD = "document.querySelector('aside details:nth-of-type(4) input')"
 ORIGIN = f"{ORIGIN_FIELD}.value"
 
 
+def test_denoisers_of_components_are_chosen_in_the_page():
+    """The rows of the components, and what the page asks for."""
+    row = "[...document.querySelectorAll('aside label')].find((one) => one.firstChild.textContent === '{}')"
+    pick = (
+        "(({0}.querySelector('select').value = '{1}'), {0}.querySelector('select').dispatchEvent(new Event('change')))"
+    )
+
+    async def visit(tab):
+        for label, name, denoise in (
+            ("indirect", "gaussian", "indirect=gaussian:radius=5:strength=1"),
+            ("Denoiser", "bilateral", "indirect=gaussian:radius=5:strength=1,bilateral"),
+            ("direct", "none", "indirect=gaussian:radius=5:strength=1,bilateral,direct=none"),
+            ("indirect", "", "bilateral,direct=none"),
+            ("Denoiser", "", "direct=none"),
+        ):
+            place = row.format(label)
+            await tab.until(f"Boolean({place})")
+            await tab.value(pick.format(place, name))
+            for _ in range(100):
+                if made._session.show.denoise == denoise:
+                    break
+                await asyncio.sleep(0.1)
+            assert made._session.show.denoise == denoise
+            await asyncio.sleep(0.5)  # until the page has the new state
+
+    with etendue.view("cornell-box", "path", size=(32, 24), samples=4, max_depth=3, for_denoising=True) as made:
+        browse(made, visit)
+
+
 def test_by_keyboard_alone(viewer):
     async def visit(tab):
         seen = []

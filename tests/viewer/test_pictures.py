@@ -11,7 +11,8 @@ from support.viewing import Page
 import etendue
 from etendue.cli.main import main
 from etendue.core import Result
-from etendue.film import ALBEDO, NORMAL, read_exr, write_exr
+from etendue.display import develop
+from etendue.film import ALBEDO, COMPONENTS, NORMAL, read_exr, write_exr
 from etendue.viewer.shown import Show
 
 SIZE = (20, 12)
@@ -81,7 +82,7 @@ def test_layers_tone_and_denoisers(viewer):
         page.send("show", layer="image", denoise="gaussian", radius=3, exposure=0.0)
         await shown(page, lambda frame: frame.std() < 0.5 * before.std())
         page.send("show", denoise="nlm")
-        assert "needs the layer 'variance'" in (await page.until("error"))[0]["text"]
+        assert "needs the variance of 'image'" in (await page.until("error"))[0]["text"]
         page.send("show", denoise="")
         page.send("pick", x=0.99, y=0.01)
         found, _ = await page.until("picked")
@@ -93,6 +94,37 @@ def test_layers_tone_and_denoisers(viewer):
         assert (await page.until("progress"))[0]["samples"] == 16
 
     talk(viewer, later)
+
+
+def test_a_denoiser_for_each_component(folder):
+    """Written as on the command line; the state has the parts."""
+    rng = np.random.default_rng(3)
+    parts = {name: rng.random((SIZE[1], SIZE[0], 3), dtype=np.float32) for name in COMPONENTS}
+    path = folder / "components.exr"
+    write_exr(path, Result(parts | {"image": sum(parts.values())}))
+    asked = "bilateral,indirect=gaussian:radius=7:strength=2,direct=none"
+
+    async def conversation(page):
+        state, _ = await page.until("state", lambda m: m["components"])
+        assert sorted(state["components"]) == sorted(COMPONENTS) and state["filters"] == {}
+        page.send("show", denoise=asked, radius=3)
+        state, _ = await page.until("state", lambda m: m["show"]["denoise"])
+        assert state["filters"] == {
+            "": {"name": "bilateral", "radius": 3, "strength": 1.0},
+            "indirect": {"name": "gaussian", "radius": 7, "strength": 2.0},
+            "direct": {"name": "none", "radius": 3, "strength": 1.0},
+        }
+        page.send("save", what="picture", name="denoised.exr")
+        await page.until("saved")
+        page.send("show", denoise="indrect=gaussian")
+        assert "no component 'indrect'; it has: " in (await page.until("error"))[0]["text"]
+        page.send("show", denoise="indirect=gausian")
+        assert "did you mean 'gaussian'" in (await page.until("error"))[0]["text"]
+
+    with etendue.view(path, folder=folder) as made:
+        talk(made, conversation)
+    expected = develop(read_exr(path).layers, asked, radius=3)
+    np.testing.assert_allclose(read_exr(folder / "denoised.exr").layers["denoised"], expected, rtol=1e-6)
 
 
 def test_references_and_what_needs_a_scene(viewer, folder):

@@ -206,7 +206,7 @@ def test_what_is_wrong_is_told_in_one_line_and_the_session_lives(viewer, kind, f
 def test_a_filter_without_its_layer_is_told_and_left_out(viewer):
     async def conversation(page):
         page.send("show", denoise="nlm")
-        assert "needs the layer 'variance'" in (await told(page))["text"]
+        assert "needs the variance of 'image'" in (await told(page))["text"]
         assert (await page.until("state", lambda m: m["show"]["denoise"] == ""))[0]["loaded"]
         # With it, the filter stays when the picture starts anew, though one pass has no variance.
         page.send("render", settings={"max_depth": 4, "aovs": True})

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,7 +23,12 @@ def develop(
         ),
     ] = None,
     denoise: Annotated[
-        str | None, typer.Option(help="oidn, bilateral, guided, gaussian or nlm.", metavar="NAME")
+        str | None,
+        typer.Option(
+            help="oidn, bilateral, guided, gaussian or nlm, or one for each component, as "
+            "indirect=gaussian:radius=9,direct=none.",
+            metavar="NAME|COMPONENT=NAME,...",
+        ),
     ] = None,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
@@ -49,8 +55,7 @@ def develop(
     from etendue.jobs import check_files, check_picture, save_result
 
     display.check_tone(exposure, tone)
-    if denoise is not None:
-        display.denoiser(denoise)
+    filters = display.parse_filters(denoise, radius, strength)
     outputs = output or [picture.with_suffix(".png")]
     for path in outputs:
         check_picture(path)
@@ -58,16 +63,19 @@ def develop(
             raise OptionError(f"'{path}' is the input, which is not changed; name another file by -o")
     check_files(outputs)
     read = film.read_exr(picture)
-    if denoise is not None:
+    if filters:
         from .rendering import choose_device
 
         choose_device(variant, threads)
     wanted = tuple(name.strip() for name in layers.split(",")) if layers is not None else ()
     console = error_console()
     settings = read.metadata.get("settings")
-    if denoise == "oidn" and isinstance(settings, dict) and settings.get("reconstruction") == "neighbours":
+    has_network = any(one.name == "oidn" for one in filters.values())
+    if has_network and isinstance(settings, dict) and settings.get("reconstruction") == "neighbours":
         text = "neighbouring pixels share samples, which oidn takes for structure unless the film's filter is a box"
-        note(console, f"{text}: render with -D reconstruction=independent")
+        note(console, f"{text}: render with --for-denoising")
+    if has_network and _merges(read.metadata):
+        note(console, "oidn takes the blotches of merged photons for structure: nlm and bilateral suit them better")
     developed = display.develop(
         read.layers,
         denoise,
@@ -87,3 +95,8 @@ def develop(
         )
         say(str(path))
     return 0
+
+
+def _merges(metadata: Mapping[str, Any]) -> bool:
+    """Whether the passes of a picture have merged photons."""
+    return "merge_radius" in metadata and not str(metadata.get("chosen", "")).startswith(("path", "bpt"))

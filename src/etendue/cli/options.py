@@ -147,6 +147,7 @@ def settings(
     pyramid_depth: int | None = None,
     no_bsdf_sampling: bool = False,
     components: bool = False,
+    for_denoising: bool = False,
 ) -> dict[str, Any]:
     """The settings from -D and from options for settings; a pyramid depth also enables the pyramid. Raises
     :class:`OptionError` if a setting is given twice."""
@@ -155,6 +156,7 @@ def settings(
         "max_depth": max_depth,
         "aovs": aovs or None,
         "components": components or None,
+        "for_denoising": for_denoising or None,
         "pyramid": pyramid or pyramid_depth is not None or None,
         "pyramid_depth": pyramid_depth,
         "bsdf_sampling": False if no_bsdf_sampling else None,
@@ -289,6 +291,13 @@ Folder = Annotated[
 Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers: albedo, normal, depth, emission; variance.")]
 Components = Annotated[
     bool, typer.Option("--components", help="Add layers of emission, direct, caustic and indirect light.")
+]
+ForDenoising = Annotated[
+    bool,
+    typer.Option(
+        "--for-denoising",
+        help="Render what `etendue develop --denoise` needs: --aovs, --components, independent pixels, several passes.",
+    ),
 ]
 Pyramid = Annotated[
     bool, typer.Option("--pyramid", help="Add a layer for each technique (s, t), weighted and unweighted.")

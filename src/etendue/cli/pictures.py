@@ -42,6 +42,7 @@ def render(
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
     components: opt.Components = False,
+    for_denoising: opt.ForDenoising = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -73,7 +74,9 @@ def render(
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
     budget = opt.budget(time, spp, error)
-    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components)
+    settings = opt.settings(
+        define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components, for_denoising
+    )
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown after all checks
@@ -157,6 +160,7 @@ def compare(
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
     components: opt.Components = False,
+    for_denoising: opt.ForDenoising = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -183,7 +187,7 @@ def compare(
     wanted = tasks(
         locate(scene, notes.append),
         method or ["path", "vcm"],
-        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components),
+        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components, for_denoising),
         seed=seed,
         budget=budget,
         size=size,

@@ -2,8 +2,8 @@
 
 from .colours import css_gradient, false_colour
 from .curves import CURVES, ToneCurve
-from .denoising import DENOISERS, Denoiser, denoiser
-from .develop import check_filter, develop
+from .denoising import DENOISERS, Denoiser, Filter, denoiser, parse_filters, part_names
+from .develop import develop
 from .meshes import MeshView, mesh_picture
 from .pages import asset_text, page
 from .plots import Series, convergence_plot
@@ -57,6 +57,7 @@ __all__ = [
     "Failure",
     "Figure",
     "Figures",
+    "Filter",
     "Folded",
     "Layer",
     "Measures",
@@ -75,7 +76,6 @@ __all__ = [
     "asset_text",
     "auto_exposure",
     "card",
-    "check_filter",
     "check_tone",
     "convergence_plot",
     "css_gradient",
@@ -92,6 +92,8 @@ __all__ = [
     "number_text",
     "over_seeds",
     "page",
+    "parse_filters",
+    "part_names",
     "projection_plot",
     "pyramids",
     "render_page",

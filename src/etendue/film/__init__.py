@@ -25,7 +25,7 @@ from .exr import channel_names, layer_path, read_exr, read_image, write_exr, wri
 from .filters import PixelFilter
 from .fireflies import without_fireflies
 from .flip import flip, flip_error, flip_is_installed
-from .layers import ALBEDO, NORMAL, SHAPE
+from .layers import ALBEDO, NORMAL, SHAPE, is_variance, variance_of
 from .output import check_writable, is_writing, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
@@ -54,6 +54,7 @@ __all__ = [
     "flip_error",
     "flip_is_installed",
     "is_matte",
+    "is_variance",
     "is_writing",
     "layer_path",
     "luminance_rmse",
@@ -67,6 +68,7 @@ __all__ = [
     "relative_squared_error",
     "replacing",
     "rmse",
+    "variance_of",
     "without_fireflies",
     "write_bytes",
     "write_exr",

@@ -24,7 +24,7 @@ from .output import replacing
 
 _PREFIX = "etendue:"
 #: Layers of directions and positions, whose channels are axes rather than colours.
-_VECTOR_LAYERS = frozenset({"normal", "position", "tangent"})
+_VECTOR_LAYERS = frozenset({"normal", "seen_normal", "position", "tangent"})
 _DEPTH_LAYERS = frozenset({"depth"})
 _CHANNEL_ORDERS = ("RGB", "RGBA", "XYZ", "Y", "Z", "YA")
 #: Channels that make up a picture also where others are beside them.

@@ -8,7 +8,7 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -28,7 +28,7 @@ from etendue.core import (
     free_memory,
     setting,
 )
-from etendue.film import COMPONENTS
+from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem, graph
 from etendue.transport import (
@@ -45,9 +45,9 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
+from .layers import PARTS, reweighted, seen
 from .layers import Layer as Layer
 from .layers import keep_finite as keep_finite
-from .layers import reweighted
 from .layers import total as total
 from .layers import with_image as with_image
 from .numbers import Lanes as Lanes
@@ -70,6 +70,8 @@ STEP_LANES = 1 << 17
 _LANE_BYTES = 64
 #: Most camera paths per pixel and pass, unless ``samples_per_pass`` is set.
 _MOST_SAMPLES = 64
+#: Passes of ``for_denoising``, if there are as many samples: fewer tell the variance of a pixel badly.
+DENOISING_PASSES = 8
 #: Bytes of a pixel of a splat image in cells, and the share of the memory that such images may take.
 _CELL_BYTES, _CELL_SHARE = 120, 0.125
 #: Light and camera paths of a pilot pass.
@@ -127,6 +129,33 @@ class ImageSettings(Settings):
     cryptomatte: bool = setting(
         False, "add a Cryptomatte: ids of the shapes that a pixel shows and how much of it each covers, for compositing"
     )
+    for_denoising: bool = setting(
+        False,
+        "render what denoisers need: turns on aovs, components (unless split_layers is on) and "
+        f"reconstruction=independent, and makes {DENOISING_PASSES} passes or more of a given number of samples",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.for_denoising:
+            for name, value in self._needed():
+                object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any], owner: str = "") -> Self:
+        """See :class:`Settings`. Raises :class:`OptionError` also for a value that contradicts ``for_denoising``."""
+        made = super().from_mapping(values, owner)
+        if made.for_denoising:
+            alone = super().from_mapping({**values, "for_denoising": False}, owner)
+            for name, value in made._needed():
+                if name in values and getattr(alone, name) != value:
+                    raise OptionError(f"for_denoising turns on {name}={str(value).lower()}; leave out {name}")
+        return made
+
+    def _needed(self) -> list[tuple[str, Any]]:
+        """Settings that ``for_denoising`` turns on, with their values."""
+        is_split = getattr(self, "split_layers", False)
+        return [("aovs", True), ("reconstruction", "independent"), *([] if is_split else [("components", True)])]
 
 
 @dataclass(frozen=True)
@@ -160,6 +189,8 @@ class ImageMethod(ABC):
     settings: Any
     #: The method for a scene whose lamps are all switched off, if it is another one.
     in_the_dark: ClassVar[type[ImageMethod] | None] = None
+    #: Passes of a run, if there are as many samples.
+    least_passes: int = 1
     #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
     recording = Recording()  #: of the rays of the next walks
@@ -167,6 +198,8 @@ class ImageMethod(ABC):
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
         self.notes: dict[str, Any] = {}  #: for the metadata of pictures, found by ``prepare``
+        if self.settings.for_denoising:
+            self.least_passes = max(self.least_passes, DENOISING_PASSES)
 
     @classmethod
     def plugin_name(cls) -> str:
@@ -229,7 +262,7 @@ class ImageMethod(ABC):
 
     def _step(self, iteration: int, seed: int) -> Measurement:
         samples = self.samples_per_iteration
-        self._hits = FirstHits(self.camera.pixels, samples) if self.settings.aovs else None
+        self._hits = self._new_hits(samples) if self.settings.aovs else None
         layers, counters = self.render_pass(iteration, seed, samples)
         layers = with_image(layers)
         if self.settings.components and not layers.keys() >= set(COMPONENTS):
@@ -239,11 +272,12 @@ class ImageMethod(ABC):
             layers |= first
             counters["nonfinite"] += bad
         sums = {name: layer.astype(np.float64) for name, layer in layers.items()}
+        measured = ["image", *(name for name in layers if self.settings.aovs and name in PARTS)]
         return Measurement(
             sums=sums,
             weights=dict.fromkeys(layers, float(samples)),
             iterations=Iterations.single(iteration),
-            squares={"image": np.square(sums["image"])},
+            squares={name: np.square(sums[name]) for name in measured},
             counters=counters | {"samples": float(samples)},
         )
 
@@ -255,16 +289,17 @@ class ImageMethod(ABC):
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes, layer by layer; with ``reweight``, without fireflies. With ``aovs`` and two passes, the
-        variance of the mean (of all paths) is a layer."""
+        variance of the mean (of all paths) is a layer, for the picture and for each of its parts."""
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
-        layers = {name: measurement.mean(name).astype(np.float32) for name in names}
+        layers = seen({name: measurement.mean(name).astype(np.float32) for name in names})
         metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()} | self.notes
         layers, metadata = layers | self._shapes[0], metadata | self._shapes[1]
         if getattr(self.settings, "reweight", False):
             reach = 1 if self.camera.independent else self.camera.filter.reach
             layers, metadata["fireflies"] = reweighted(layers, measurement, reach)
         if self.settings.aovs and len(measurement.iterations) > 1:
-            layers["variance"] = measurement.variance_of_mean().astype(np.float32)
+            for name in filter(measurement.has_error, list(layers)):
+                layers[variance_of(name)] = measurement.variance_of_mean(name).astype(np.float32)
         return Result(layers, metadata)
 
     # ------------------------------------------------------------------ helpers of the subclasses
@@ -320,7 +355,8 @@ class ImageMethod(ABC):
 
     def path_fields(self) -> dict[str, Any]:
         """Additional fields of the state of a camera path, for ``CameraPath.start``."""
-        return component_fields() if self.settings.components else {}
+        fields = component_fields() if self.settings.components else {}
+        return fields | ({} if self._hits is None else {"through": self._hits.through})
 
     def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:
         """(radiance of camera paths, clamped, 0 where it is not finite; mask of lanes where it is not finite). For
@@ -375,21 +411,33 @@ class ImageMethod(ABC):
         ``iteration``: the pass whose film positions the rays have."""
         return None if self._hits is None else self._hits.of(lanes, iteration)
 
+    def _new_hits(self, samples: int) -> FirstHits:
+        return FirstHits(self.camera.pixels, samples, self.visibility.specular)
+
     def first_layers(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], int]:
         """(layers of the first surfaces hit by the camera paths of a pass, or by camera rays if the pass has traced no
         paths; number of values that were not finite)."""
-        hits, self._hits = self._hits or FirstHits(self.camera.pixels, samples), None
+        hits, self._hits = self._hits or self._new_hits(samples), None
         if not hits.recorded:
             lanes = hits.lanes()
             source = self.camera_numbers(lanes, samples, seed, iteration)
             ray, _, _ = self.camera.primary(lanes // samples, source)
             recorder = hits.of(lanes, iteration)
-            walker = Walker(
-                visibility=self.visibility, lights=self.lights, max_edges=self.edges, rr_depth=1, first=recorder
-            )
-            path = CameraPath.start(ray, mi.UInt32(1))
-            walker.emission(path, walker.arrive(path))
+            walker = self.walker(Walker, first=recorder)
+            path = CameraPath.start(ray, self.edges, through=recorder.through)
+            walker.walk(path, lambda s: _first_edge(s, walker, source), "first hits")
         found, bad = hits.found()
         layers = self.images(found, seed, hits.iteration, samples)
         layers["depth"] /= np.float32(self.problem.space.scale)
         return {name: layer * np.float32(samples / hits.rays) for name, layer in layers.items()}, bad
+
+
+def _first_edge(s: CameraPath, walker: Walker, source: SampleSource) -> CameraPath:
+    """Record an edge of a path that mirrors and glass only scatter."""
+    vertex = walker.arrive(s)
+    walker.emission(s, vertex)
+    s.active &= vertex.valid & (s.depth < walker.max_edges)
+    scattered, _ = vertex.sample(source, s.active)
+    walker.advance(s, vertex, scattered, source)
+    s.active &= False if s.through is None else s.through
+    return s

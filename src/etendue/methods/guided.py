@@ -92,7 +92,7 @@ class Guided(Carrying, EndsInMap):
     citations: ClassVar[tuple[str, ...]] = ("Muller2017", "Muller2019", "Vorba2016", "Shirley1997", *Path.citations)
     carries_on: ClassVar[bool] = True
     #: Four generations of training and a pass, if a budget has the samples.
-    least_passes: ClassVar[int] = 16
+    least_passes = 16
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`; the guide is untrained."""

@@ -18,9 +18,11 @@ V = TypeVar("V")
 #: One pass's sums of a layer, (height, width, channels).
 Layer = NDArray[np.float32]
 #: Layers that are parts of the picture, by component or by family of techniques.
-_PARTS = {*COMPONENTS, "next_event", "connection", "merge", "splat"}
+PARTS = {*COMPONENTS, "next_event", "connection", "merge", "splat"}
 #: Fewer passes hardly tell a rare find from a highlight that few samples of a pixel meet.
 _LEAST_PASSES = 4
+#: Smallest share of paths whose mean is taken for what a pixel shows.
+_LEAST_SHARE = 0.05
 #: Relative change from which on a pixel counts as changed in the metadata.
 _CHANGED = 0.1
 
@@ -39,6 +41,18 @@ def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
     return {"image": functools.reduce(np.add, layers.values())} | layers
 
 
+def seen(layers: dict[str, Layer]) -> dict[str, Layer]:
+    """``layers`` with the means of :class:`FirstHits` over the paths that count, instead of their sums and share; where
+    hardly any does, those of the first surfaces."""
+    layers = dict(layers)
+    if (share := layers.pop("seen_share", None)) is not None:
+        for name in ("albedo", "normal"):
+            layers[f"seen_{name}"] = np.divide(
+                layers[f"seen_{name}"], share, out=layers[name].copy(), where=share > _LEAST_SHARE
+            )
+    return layers
+
+
 def reweighted(
     layers: dict[str, Layer], measurement: Measurement, reach: int
 ) -> tuple[dict[str, Layer], dict[str, Any]]:
@@ -47,7 +61,7 @@ def reweighted(
     whole = layers["image"]
     changed = dict(layers)
     if len(measurement.iterations) >= _LEAST_PASSES:
-        parts = {name: layer for name, layer in layers.items() if name in _PARTS} or {"image": whole}
+        parts = {name: layer for name, layer in layers.items() if name in PARTS} or {"image": whole}
         parts = without_fireflies(parts, measurement.variance_of_mean(), reach)
         changed |= parts | {"image": functools.reduce(np.add, parts.values())}
     loss = np.abs(whole - changed["image"])

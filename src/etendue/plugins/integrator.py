@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Method, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import Budget, RunError, Runner, RunResult
-from etendue.film import COMPONENTS, LONGER, PixelFilter, Technique
+from etendue.film import COMPONENTS, LONGER, PixelFilter, Technique, is_variance
 from etendue.methods import ImageMethod
 from etendue.scene import Problem
 
@@ -28,6 +28,11 @@ _AOV_CHANNELS = {
     "depth": ("depth.T",),
     "emitted": ("emitted.R", "emitted.G", "emitted.B"),
     "shape": ("shape_index.I",),
+}
+#: The same of layers that only pictures of scenes with mirrors or glass have.
+_SEEN_CHANNELS = {
+    "seen_albedo": ("seen_albedo.R", "seen_albedo.G", "seen_albedo.B"),
+    "seen_normal": ("seen_normal.X", "seen_normal.Y", "seen_normal.Z"),
 }
 #: Rays per pixel in one part of the coverage estimate for alpha channels, and the number of parts.
 _ALPHA_RAYS = 8
@@ -184,7 +189,10 @@ def _requested(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
     radii; after first hits and components, which every picture has then."""
     names = list(_AOV_CHANNELS) if options["aovs"] else []
     names += COMPONENTS if options["components"] else ()
+    names += [name for name in layers if name in _SEEN_CHANNELS]
     for name in layers:
+        if is_variance(name):
+            continue
         in_pyramid = name == LONGER or Technique.of_layer(name) is not None
         setting = "pyramid" if in_pyramid else "radii" if name.startswith("radius_") else "split_layers"
         if name not in ("image", *names) and options.get(setting):
@@ -194,7 +202,11 @@ def _requested(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
 
 def _channels(layers: Iterable[str]) -> list[str]:
     """Names of the channels of ``layers`` in a film."""
-    return [channel for name in layers for channel in _AOV_CHANNELS.get(name, [f"{name}.{c}" for c in "RGB"])]
+    return [
+        channel
+        for name in layers
+        for channel in (_AOV_CHANNELS | _SEEN_CHANNELS).get(name, [f"{name}.{c}" for c in "RGB"])
+    ]
 
 
 def _fill(film: mi.Film, problem: Problem, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:

@@ -1,5 +1,6 @@
-"""First hits of camera rays: albedo, shading normal, depth and emission, recorded by the walk that traces the rays; the
-shape in the middle of each pixel, and the shapes that cover the pixel."""
+"""First hits of camera rays: albedo, shading normal, depth and emission, and what is seen in mirrors and through glass,
+recorded by the walk that traces the rays; the shape in the middle of each pixel, and the shapes that cover the pixel.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +21,6 @@ from .bidirectional.photons import packed_normal, unpacked_normal
 from .camera import CameraSampler
 from .vertex import WalkVertex
 
-#: Packets of four floats per camera ray: albedo and depth; emission and the packed shading normal.
-_PACKETS = 2
 #: Camera rays per pixel and pass whose first hits are recorded: the layers have far less noise than the picture.
 _MOST_RAYS = 8
 #: Rays along each side of a pixel that find the shapes covering it, and the largest number of shapes that are kept.
@@ -33,13 +32,23 @@ _CROWDED = 1 << 14
 class FirstHits:
     """Albedo, shading normal, depth and emission of the first surfaces that the first ``rays`` camera rays of each
     pixel meet, 0 where they meet none; the emission is that of the environment there. A pass has ``samples`` camera
-    rays per pixel."""
+    rays per pixel.
 
-    def __init__(self, pixels: int, samples: int) -> None:
+    With ``specular``, ``seen_albedo`` and ``seen_normal`` are those of the surface at which a path is first scattered
+    by something other than a mirror or smooth glass, or ends; the albedo is multiplied by what these reflect or
+    transmit. Glass reflects or transmits at random. Only paths that take the more probable way count, so that chance
+    does not make the layers noisy; ``seen_share`` is their share."""
+
+    def __init__(self, pixels: int, samples: int, specular: bool) -> None:
         self.rays = min(samples, _MOST_RAYS)
+        #: Initial :attr:`SubPath.through` of the paths.
+        self.through = mi.Bool(True) if specular else None
+        #: Packets of four floats per camera ray: albedo and depth; emission and the packed shading normal; albedo and
+        #: packed normal of what is seen.
+        self._each = 3 if specular else 2
         self._samples = samples
         self._count = pixels * self.rays
-        self._packets = dr.zeros(mi.Float, 4 * _PACKETS * self._count)
+        self._packets = dr.zeros(mi.Float, 4 * self._each * self._count)
         self._ray: mi.UInt32 | None = None
         self._kept = mi.Bool(True)
         #: Pass whose film positions the rays have.
@@ -65,37 +74,55 @@ class FirstHits:
         pixel = ray // self.rays
         return pixel * self._samples + (ray - pixel * self.rays)
 
-    def record(self, vertex: WalkVertex, emitted: mi.Color3f, active: mi.Bool) -> None:
-        """Record the ends of first edges and the emission there, inside the walk."""
+    def record(
+        self, vertex: WalkVertex, emitted: mi.Color3f, throughput: mi.Color3f, is_first: mi.Bool, active: mi.Bool
+    ) -> None:
+        """Record the end of an edge that a path has reached by mirrors and glass only, inside the walk; with
+        ``is_first``, also as the first hit, and its emission. ``throughput``: of the path up to the vertex."""
 
         def put(
             ray: mi.UInt32,
             si: mi.SurfaceInteraction3f,
             pointer: mi.BSDFPtr,
             emitted: mi.Color3f,
+            throughput: mi.Color3f,
             hit: mi.Bool,
+            is_first: mi.Bool,
             active: mi.Bool,
         ) -> mi.Bool:
             n = si.sh_frame.n
             albedo = replace(vertex.bsdf, pointer=pointer).call(mi.BSDF.eval_diffuse_reflectance, si, active=hit)
-            # A packed normal is always finite; therefore a depth of NaN marks a normal that is not.
-            depth = dr.select(hit, dr.select(dr.all(dr.isfinite(n)), si.t, dr.nan), 0.0)
+            seen = albedo * throughput
+            # A packed normal is always finite; therefore NaN marks what does not count, and -1 a missing surface.
+            is_normal = dr.all(dr.isfinite(n))
+            depth = dr.select(hit, dr.select(is_normal, si.t, dr.nan), 0.0)
             first = mi.Vector4f(albedo.x, albedo.y, albedo.z, depth)
             second = mi.Vector4f(emitted.x, emitted.y, emitted.z, packed_normal(n))
-            for number, packet in enumerate((first, second)):
-                dr.scatter(self._packets, packet, ray * _PACKETS + number, active)
+            red = dr.select(hit, dr.select(is_normal, seen.x, dr.nan), -1.0)
+            third = mi.Vector4f(red, seen.y, seen.z, packed_normal(n))
+            packets = [(first, is_first), (second, is_first), (third, active)]
+            for number, (packet, wanted) in enumerate(packets[: self._each]):
+                dr.scatter(self._packets, packet, ray * self._each + number, wanted)
             return active
 
-        # A branch, because only one of the edges of a path is the first.
+        # A branch, because few of the edges of a path are recorded.
         active &= self._kept
-        arguments = self._ray, vertex.si, vertex.bsdf.pointer, emitted, active & vertex.valid, active
+        hit, is_first = active & vertex.valid, active & is_first
+        arguments = self._ray, vertex.si, vertex.bsdf.pointer, emitted, throughput, hit, is_first, active
         dr.if_stmt(arguments, active, put, lambda *_: _[-1], label="first hit")
+
+    def discard(self, active: mi.Bool) -> None:
+        """What paths see does not count, inside the walk."""
+        assert self._ray is not None
+        dr.scatter(self._packets, dr.nan, (self._ray * self._each + 2) * 4, active & self._kept)
 
     def found(self) -> tuple[dict[str, Any], int]:
         """(layers by name, one lane a ray, depth in units of the render space; number of values that were not finite
         and are 0)."""
         ray = dr.arange(mi.UInt32, self._count)
-        first, second = (dr.gather(mi.Vector4f, self._packets, ray * _PACKETS + number) for number in range(_PACKETS))
+        first, second, *more = (
+            dr.gather(mi.Vector4f, self._packets, ray * self._each + number) for number in range(self._each)
+        )
         emitted = mi.Color3f(second.x, second.y, second.z)
         finite, shines = dr.all(dr.isfinite(first)), dr.all(dr.isfinite(emitted))
         layers = {
@@ -104,6 +131,14 @@ class FirstHits:
             "depth": dr.select(finite, first.w, 0.0),
             "emitted": dr.select(shines, emitted, 0.0),
         }
+        for third in more:
+            seen = mi.Color3f(third.x, third.y, third.z)
+            counts = dr.all(dr.isfinite(seen))
+            layers |= {
+                "seen_albedo": dr.select(counts & (seen.x >= 0.0), seen, 0.0),
+                "seen_normal": dr.select(counts & (seen.x >= 0.0), unpacked_normal(third.w), 0.0),
+                "seen_share": dr.select(counts, mi.Float(1.0), 0.0),
+            }
         bad = [dr.select(good, mi.UInt32(0), 1) for good in (finite, shines)]
         dr.eval(layers, bad)
         return layers, sum(int(dr.sum(flags)[0]) for flags in bad)

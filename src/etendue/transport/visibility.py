@@ -18,12 +18,14 @@ from etendue.scene import Material, bsdfs, materials
 
 class Visibility:
     """Visibility in one scene, with its geometry at the time of construction. ``transparent``: whether the scene has
-    null surfaces."""
+    null surfaces; ``specular``: whether it has these, mirrors or smooth glass."""
 
     def __init__(self, scene: mi.Scene) -> None:
         self.scene = scene
         self.bsdfs = bsdfs(scene)
-        self.transparent = any(_passes(node) for node in materials(scene) if isinstance(node, mi.BSDF))
+        found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
+        self.transparent = any(map(_passes, found))
+        self.specular = any(mi.has_flag(node.flags(), mi.BSDFFlags.Delta) for node in found)
         #: The opaque meshes alone, which block nearly all blocked shadow rays: an any-hit test costs less than the
         #: closest intersection. Not on a GPU, where a kernel traces rays in one scene only.
         self._opaque = (

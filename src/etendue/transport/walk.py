@@ -48,6 +48,9 @@ class SubPath:
     rays: mi.UInt32  #: rays cast so far, including shadow rays
     #: The ``film.Component`` of a light at the end of the next edge of a camera path; None if components are not kept.
     seen: mi.UInt32 | None = None
+    #: Whether mirrors, glass and null surfaces only are between the camera and the next edge, each passed in its most
+    #: likely way; None unless it is recorded what is seen in them.
+    through: mi.Bool | None = None
 
     def components_of(self, values: Sequence[mi.Color3f]) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
         """(component, light) that the vertex at the end of the edge reflects. ``values``: all light as one value; with
@@ -196,7 +199,9 @@ class Walker:
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
         if self.first is not None:
-            self.first.record(vertex, dr.select(active, found[0], 0.0), s.active & (s.depth == 1))
+            is_first = s.depth == 1
+            reached = s.active & (is_first if s.through is None else s.through)
+            self.first.record(vertex, dr.select(active, found[0], 0.0), s.throughput, is_first, reached)
         return Emission(*found, direct_pdf, active)
 
     def light_point(
@@ -267,6 +272,10 @@ class Walker:
         s.depth = vertex.number + 1
         if s.seen is not None:
             s.seen = self.keep_if_null(scattered, s.seen, after_scattering(s.seen, scattered.is_delta))
+        if s.through is not None and self.first is not None:
+            likely = alive & (scattered.pdf >= 0.5)
+            self.first.discard(s.active & s.through & scattered.active & ~vertex.smooth & ~likely)
+            s.through &= scattered.is_delta & likely  # the crossing of a null surface is a delta component
         s.active &= scattered.active & alive
         if self.rays is not None:
             self.rays.scattered(vertex, scattered, s.active)

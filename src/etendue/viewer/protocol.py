@@ -16,8 +16,8 @@ Page to session:
 ``pick``            ``x``, ``y``: place in the picture, 0 to 1 from its top left corner; answered by ``picked``
 ``render``          any of ``method``, ``settings`` {name: value}, ``budget`` {seconds, samples, error}, ``size``
                     [width, height] of the film, ``paused``, ``again``: true
-``show``            any of ``layer``, ``denoise`` ("" for none), ``radius``, ``strength``, ``curve``, ``exposure``
-                    (stops or "auto")
+``show``            any of ``layer``, ``denoise`` (see :func:`etendue.display.parse_filters`; "" for none), ``radius``,
+                    ``strength``, ``curve``, ``exposure`` (stops or "auto")
 ``compare``         ``method`` with ``settings``, or ``reference`` (a picture file on the machine of the session), or
                     neither to stop; ``map``: whether to show the error map instead of the second picture
 ``open``            ``scene``: a scene file, the name of a bundled scene, or a picture file

@@ -16,15 +16,15 @@ from etendue.core import OptionError, is_number
 from etendue.display import (
     CURVES,
     DENOISERS,
+    Filter,
     auto_exposure,
-    check_filter,
     check_tone,
-    denoiser,
     develop,
     false_colour,
     in_pyramid,
+    parse_filters,
 )
-from etendue.film import ALBEDO, NORMAL, SHAPE, is_matte
+from etendue.film import ALBEDO, NORMAL, SHAPE, is_matte, is_variance
 
 from .protocol import number, text
 
@@ -53,8 +53,6 @@ class Show:
     def changed(self, message: Mapping[str, Any]) -> Show:
         """A copy with the values of a ``show`` message. Raises :class:`OptionError`."""
         values: dict[str, Any] = {key: text(message, key) for key in ("layer", "denoise", "curve") if key in message}
-        if values.get("denoise"):
-            denoiser(values["denoise"])
         if "radius" in message:
             values["radius"] = message["radius"]
         if "strength" in message:
@@ -66,8 +64,12 @@ class Show:
             values["exposure"] = exposure
         shown = replace(self, **values)
         check_tone(shown.exposure, shown.curve)
-        check_filter(shown.radius, shown.strength)
+        shown.filters()
         return shown
+
+    def filters(self) -> dict[str, Filter]:
+        """The filters by component; "" is that of all others."""
+        return parse_filters(self.denoise or None, self.radius, self.strength)
 
     def colours(self, layers: Mapping[str, Picture], stops: float) -> Bytes:
         """The layer that is shown, as eight-bit colours. A missing layer is replaced by the picture."""
@@ -83,7 +85,7 @@ class Show:
             return _hashed(np.ascontiguousarray(layer[:, :, 0]).view(np.uint32))
         if name in ALBEDO and layer.shape[2] >= 3:
             return toned(layer[:, :, :3], 0.0, "srgb")
-        if name == "variance":
+        if is_variance(name):
             mean = np.square(layers["image"].astype(np.float64)).mean(axis=2) + 0.01
             return false_colour(layer.astype(np.float64).mean(axis=2) / mean, *_SQUARES)
         if layer.shape[2] < 3:

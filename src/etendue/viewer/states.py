@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import EtendueError
+from etendue.display import part_names
 from etendue.engine import Budget
 from etendue.scene import Change, LightEdits, Problem, is_described, load, resized
 
@@ -80,7 +81,9 @@ def state(session: Session) -> dict[str, Any]:
         "paused": session.paused,
         "preparing": problem is not None and not (isinstance(session.main, Refinement) and session.main.passes),
         "show": vars(session.show),
+        "filters": {name: vars(one) for name, one in session.show.filters().items()},
         "layers": layer_names(session.layers) or ["image"],
+        "components": part_names(session.layers),
         "compared": session.compared.state() if session.compared is not None else None,
         "panels": {name: panel.state() for name, panel in session.panels.items()},
     }

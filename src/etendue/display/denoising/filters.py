@@ -22,12 +22,16 @@ from .pictures import Features, Picture
 _SPACE = 0.5
 #: Differences at which the weight of the bilateral filter is exp(-1/2): compressed colours, albedo, normals.
 _COLOUR, _ALBEDO, _NORMAL = 0.6, 0.1, 0.2
+#: Standard deviations of a pixel by which the accepted difference of colours grows.
+_NOISE = 3.0
 #: Pixels per lane of the bilateral filter.
 _STRIP = 4
 #: Value of the guides outside the picture.
 _FAR = 1e4
-#: Variance of a guide that is taken for noise: of features, and of the luminance.
+#: Variance of a guide that is taken for noise: of features, and of the luminance if its variance is not known.
 _FEATURE_NOISE, _LIGHT_NOISE = 1e-3, 0.05
+#: The same of the luminance, relative to its variance.
+_LIGHT_VARIANCE = 2.0
 
 
 def gaussian(component: Picture, features: Features, radius: int, strength: float) -> Picture:
@@ -45,20 +49,21 @@ def gaussian(component: Picture, features: Features, radius: int, strength: floa
 def bilateral(component: Picture, features: Features, radius: int, strength: float) -> Picture:
     """Mean of the pixels of the window, with weights by distance, compressed colour, albedo and normal [Tomasi 1998].
 
-    ``strength`` multiplies the accepted difference of colours.
+    If the variance is known, the accepted difference of colours grows with the noise that both pixels have at least.
+    ``strength`` multiplies it.
     """
     height, width = component.shape[:2]
-    layers = [component, compressed(component) / np.float32(max(_COLOUR * strength, 1e-6))]
     pairs = ((features.albedo, _ALBEDO), (features.normal, _NORMAL))
-    layers += [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
+    guides = [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
+    layers = [_noise(component, features.variance), _mixture(guides, height, width), component]
+    layers += [compressed(component) / np.float32(max(_COLOUR * strength, 1e-6)), *guides]
     # The channels of a pixel one after the other. Outside the picture the guides differ so much that all weights are
     # zero, so that taps need no check of the border.
     strips = -(-height // _STRIP)
-    channels = 3 * len(layers)
+    channels = sum(layer.shape[2] for layer in layers)
     padded = np.full((strips * _STRIP + 2 * radius, width + 2 * radius, -(-channels // 4) * 4), _FAR, dtype=np.float32)
     inside = padded[radius : radius + height, radius : radius + width]
-    for index, layer in enumerate(layers):
-        inside[:, :, 3 * index : 3 * index + 3] = layer
+    inside[:, :, :channels] = np.concatenate(layers, axis=2)
     padded[:, :, channels:] = 0.0
     count, line = padded.shape[2] // 4, dr.opaque(mi.Int32, width + 2 * radius)
     values = dr.copy(mi.Float(padded.ravel()))
@@ -73,18 +78,18 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
         found = [dr.gather(mi.Vector4f, values, mi.UInt32(place * count + k)) for k in range(count)]
         return [channel for packet in found for channel in packet]
 
-    own = [read(first + line * k)[3:] for k in range(_STRIP)]
+    own = [read(first + line * k) for k in range(_STRIP)]
     space = dr.opaque(mi.Float, -0.5 / (_SPACE * radius) ** 2)
     last = far + _STRIP
 
     def tap(down: mi.Int32, across: mi.Int32, *sums: mi.Vector4f) -> tuple[mi.Int32 | mi.Vector4f, ...]:
         value = read(first + down * line + across)
-        colour = mi.Vector4f(*value[:3], 1.0)
+        colour = mi.Vector4f(*value[2:5], 1.0)
         result = []
         for k, total in enumerate(sums):
-            squared = mi.Float(0.0)
-            for channel, mine in zip(value[3:], own[k], strict=True):
-                squared = dr.fma(channel - mine, channel - mine, squared)
+            differences = [dr.square(a - b) for a, b in zip(value[5:], own[k][5:], strict=True)]
+            noise = 2.0 * dr.minimum(value[0], own[k][0])
+            squared = sum(differences[:3]) * dr.rcp(1.0 + noise) + sum(differences[3:]) * dr.rcp(1.0 + own[k][1])
             below = down - k
             w = dr.exp(mi.Float(across * across + below * below) * space - 0.5 * squared)
             w = dr.select((below >= -far) & (below <= far), w, 0.0)
@@ -101,6 +106,35 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
     return np.stack(rows, axis=1).reshape(-1, width, 3)[:height]
 
 
+def _noise(component: Picture, variance: Picture | None) -> Picture:
+    """Variance of the compressed colours (height, width, 1), for the bilateral filter, over the squared difference that
+    it accepts; 0 if it is not known. Means over 3x3 pixels, because the variance is uncertain after few passes."""
+    height, width = component.shape[:2]
+    if variance is None:
+        return np.zeros((height, width, 1), np.float32)
+    light = np.array(LUMINANCE, np.float32)
+    values = [packets(np.stack([np.maximum(variance, 0.0).mean(axis=2), np.maximum(component, 0.0) @ light], axis=2))]
+    frame = Frame(width, height)
+    for down in (False, True):
+        values = frame.along(down, 1, values)
+    around = unpacked(values[0], height, width).astype(np.float64)  # of light that may be faint
+    level = max(float((np.maximum(component, 0.0) @ light).mean()), 1e-20)
+    noise = (_NOISE / _COLOUR) ** 2 * around[:, :, :1] / np.square(level + around[:, :, 1:2])
+    return np.minimum(noise, _FAR).astype(np.float32)
+
+
+def _mixture(guides: Sequence[Picture], height: int, width: int) -> Picture:
+    """Squared difference (height, width, 1) of the features of a pixel from those of the more similar one of its two
+    neighbours in a row, or in a column if it is larger. Pixels on an edge, which show both of its sides, differ from
+    all others, and would keep their noise."""
+    result = np.zeros((height, width, 1), np.float32)
+    for axis in range(2 if guides else 0):
+        steps = np.square(np.diff(np.concatenate(guides, axis=2), axis=axis)).sum(axis=2, keepdims=True)
+        before, after = (np.insert(steps, place, 0.0, axis) for place in (0, steps.shape[axis]))
+        result = np.maximum(result, np.minimum(before, after))
+    return result
+
+
 def guided(component: Picture, features: Features, radius: int, strength: float) -> Picture:
     """Linear regression of the picture on a guide in each window, averaged over the windows of a pixel [He 2013].
 
@@ -111,14 +145,17 @@ def guided(component: Picture, features: Features, radius: int, strength: float)
     height, width = component.shape[:2]
     frame = Frame(width, height)
     light = component @ np.array(LUMINANCE, dtype=np.float32)[:, None]
-    light /= max(float(light.mean()), 1e-20)
+    level = max(float(light.mean()), 1e-20)
+    light /= np.float32(level)
     layers = [layer for layer in (features.albedo, features.normal) if layer is not None]
     first = np.concatenate([light, *layers[:1]], axis=2)  # four channels, if there are features
     layers = [first, *layers[1:]]
     count = sum(layer.shape[2] for layer in layers)
-    noise = [_FEATURE_NOISE] * count
-    noise[0] = _LIGHT_NOISE
-    guides, value = [packets(layer) for layer in layers], packets(component)
+    noise = np.full_like(light, _LIGHT_NOISE)
+    if features.variance is not None:
+        variance = np.maximum(features.variance, 0.0).mean(axis=2, keepdims=True, dtype=np.float64)
+        noise = np.minimum(_LIGHT_VARIANCE * variance / level**2, 1e20).astype(np.float32)
+    guides, value = [packets(layer) for layer in layers], packets(np.concatenate([component, noise], axis=2))
     dr.eval(guides, value)
 
     def read(place: mi.UInt32, inside: mi.Bool | bool = True) -> list[mi.Float]:
@@ -126,16 +163,18 @@ def guided(component: Picture, features: Features, radius: int, strength: float)
         return [packet[c] for packet, layer in zip(found, layers, strict=True) for c in range(layer.shape[2])]
 
     def moments(place: mi.UInt32, inside: mi.Bool) -> list[mi.Vector4f]:
-        g, v = read(place, inside), list(dr.gather(mi.Vector4f, value, place, inside))[:3]
+        g, (*v, noise) = read(place, inside), dr.gather(mi.Vector4f, value, place, inside)
         products = [g[i] * g[j] for i in range(count) for j in range(i + 1)]
-        return _in_packets([*g, *v, *products, *(a * b for a in g for b in v)])
+        return _in_packets([noise, *g, *v, *products, *(a * b for a in g for b in v)])
 
     def regression(means: list[mi.Vector4f]) -> list[mi.Vector4f]:
-        m = [channel for packet in means for channel in packet]
+        noise, *m = [channel for packet in means for channel in packet]
         g, v, rest = m[:count], m[count : count + 3], iter(m[count + 3 :])
         covariance = {(i, j): next(rest) - g[i] * g[j] for i in range(count) for j in range(i + 1)}
         for i in range(count):
-            covariance[i, i] = dr.maximum(covariance[i, i], 0.0) + dr.opaque(mi.Float, strength * noise[i])
+            covariance[i, i] = dr.maximum(covariance[i, i], 0.0) + dr.opaque(mi.Float, strength) * (
+                noise if i == 0 else dr.opaque(mi.Float, _FEATURE_NOISE)
+            )
         cross = [[next(rest) - g[i] * v[c] for c in range(3)] for i in range(count)]
         slopes = _solve(covariance, cross)
         level = [v[c] - sum(slopes[i][c] * g[i] for i in range(count)) for c in range(3)]

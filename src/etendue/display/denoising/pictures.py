@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import OptionError
-from etendue.film import ALBEDO, NORMAL, Technique, is_matte
+from etendue.film import ALBEDO, NORMAL, Technique, is_matte, is_variance, variance_of
 
 Picture = NDArray[np.float32]
 
-_VARIANCE: Final = "variance"
 #: Layer of the emission of first surfaces, which no denoiser uses.
 _EMITTED: Final = "emitted"
 #: Largest difference between a picture and the sum of its components, relative to the picture's mean.
@@ -25,7 +24,7 @@ _SUM_TOLERANCE: Final = 1e-3
 class Features:
     """Layers (height, width, 3) that guide a denoiser, with finite values only; ``None`` for a missing layer.
 
-    ``variance`` is the variance of the pixels, which are means over samples, of the whole picture.
+    ``variance`` is the variance of the pixels, which are means over samples.
     """
 
     albedo: Picture | None = None
@@ -47,20 +46,31 @@ def find_features(layers: Mapping[str, Picture], albedo: str | None = None, norm
     for what, given, usual in (
         ("albedo", albedo, ALBEDO),
         ("normal", normal, NORMAL),
-        ("variance", None, (_VARIANCE,)),
+        ("variance", None, (variance_of("image"),)),
     ):
         name = next((n for n in usual if n in layers), None) if given is None else given
         if given is not None and given not in layers:
             raise OptionError(f"there is no layer '{given}' for --{what}; there are: {', '.join(layers)}")
         if name is None:
             continue
-        layer = layers[name]
-        if layer.ndim != 3 or layer.shape[2] < 3:
+        feature = _feature(layers[name])
+        if feature is None:
             if given is None:
                 continue  # a layer of this name with another meaning
-            raise OptionError(f"layer '{given}' for --{what} has {layer[0, 0].size} channels, not 3")
-        found[what] = np.ascontiguousarray(np.nan_to_num(layer[:, :, :3], posinf=0.0, neginf=0.0), dtype=np.float32)
+            raise OptionError(f"layer '{given}' for --{what} has {layers[name][0, 0].size} channels, not 3")
+        found[what] = feature
     return Features(**found)
+
+
+def find_variance(layers: Mapping[str, Picture], name: str) -> Picture | None:
+    """The variance of the pixels of a layer, as a feature; ``None`` if it is not among ``layers``."""
+    return _feature(layers[variance_of(name)]) if variance_of(name) in layers else None
+
+
+def _feature(layer: Picture) -> Picture | None:
+    if layer.ndim != 3 or layer.shape[2] < 3:
+        return None
+    return np.ascontiguousarray(np.nan_to_num(layer[:, :, :3], posinf=0.0, neginf=0.0), dtype=np.float32)
 
 
 def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -> tuple[str, ...]:
@@ -77,7 +87,7 @@ def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -
         return tuple(chosen)
     if "image" not in layers or not layers["image"].size:
         raise OptionError(f"the file has no R, G, B channels, only layers: {', '.join(layers)}; name some by --layers")
-    parts = tuple(name for name, layer in layers.items() if _is_part(name, layer))
+    parts = part_names(layers)
     whole = layers["image"]
     if len(parts) > 1 and _is_colour(whole):
         with np.errstate(invalid="ignore"):
@@ -88,9 +98,15 @@ def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -
     return ("image",)
 
 
+def part_names(layers: Mapping[str, Picture]) -> tuple[str, ...]:
+    """Layers that are parts of the picture, as their names and channels suggest."""
+    return tuple(name for name, layer in layers.items() if _is_part(name, layer))
+
+
 def _is_part(name: str, layer: Picture) -> bool:
-    features = ("image", _VARIANCE, _EMITTED, *ALBEDO, *NORMAL)
-    return _is_colour(layer) and name not in features and Technique.of_layer(name) is None and not is_matte(name)
+    if name in ("image", _EMITTED, *ALBEDO, *NORMAL) or is_variance(name) or is_matte(name):
+        return False
+    return _is_colour(layer) and Technique.of_layer(name) is None
 
 
 def _is_colour(layer: Picture) -> bool:

@@ -13,13 +13,11 @@ from .means import non_local_means
 from .oidn import open_image_denoise, prefiltered
 from .pictures import Features, Picture
 
-#: How to make a layer that a denoiser needs.
-_REMEDY: Final = {"variance": "render with --aovs in several passes, or use bilateral"}
-
 
 @dataclass(frozen=True)
 class Denoiser:
-    """``function(component, features, radius, strength)`` of a component (height, width, 3).
+    """``function(component, features, radius, strength)`` of a component (height, width, 3); the features have the
+    variance of this component.
 
     ``needs``: features without which it does not work; ``uses``: features that improve the result.
     """
@@ -29,20 +27,26 @@ class Denoiser:
     function: Callable[[Picture, Features, int, float], Picture]
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
-    by_component: bool = True  #: False: it denoises the sum of components, because only the sum's variance is known
+    #: Components of light that it leaves as they are unless it is asked for them.
+    leaves: tuple[str, ...] = ()
     #: Applied to the features beforehand, once for all components.
     prepare: Callable[[Features], Features] | None = None
+    #: Whether it spreads fireflies, which are therefore removed beforehand if the variance is known.
+    spreads_fireflies: bool = True
     #: Whether it smooths details and shifts means, which :func:`restored` corrects if the variance is known.
     restores: bool = False
 
-    def check(self, features: Features) -> None:
+    def check(self, features: Features, component: str) -> None:
         """Raise :class:`OptionError` if a feature is missing that it needs."""
         for name in self.needs:
             if name not in features.names:
-                raise OptionError(f"{self.name} needs the layer '{name}', which the picture lacks; {_REMEDY[name]}")
+                raise OptionError(
+                    f"{self.name} needs the {name} of '{component}', which the picture lacks; render it with "
+                    "--for-denoising, or use bilateral"
+                )
 
 
-_FIRST_HIT = ("albedo", "normal")
+_FEATURES = ("albedo", "normal", "variance")
 #: All denoisers by name.
 DENOISERS: Final[dict[str, Denoiser]] = {
     d.name: d
@@ -51,19 +55,24 @@ DENOISERS: Final[dict[str, Denoiser]] = {
             "oidn",
             "Intel Open Image Denoise, a trained network",
             open_image_denoise,
-            uses=(*_FIRST_HIT, "variance"),
+            uses=_FEATURES,
             prepare=prefiltered,
+            spreads_fireflies=False,
             restores=True,
         ),
-        Denoiser("bilateral", "mean of pixels that are near and alike", bilateral, uses=_FIRST_HIT),
-        Denoiser("guided", "linear regression on albedo, normal and luminance in windows", guided, uses=_FIRST_HIT),
-        Denoiser("gaussian", "Gaussian blur", gaussian),
+        Denoiser("bilateral", "mean of pixels that are near and alike", bilateral, uses=_FEATURES),
         Denoiser(
-            "nlm",
-            "mean of pixels whose surroundings differ by no more than noise",
-            non_local_means,
-            ("variance",),
-            by_component=False,
+            "guided",
+            "linear regression on albedo, normal and luminance in windows",
+            guided,
+            uses=_FEATURES,
+            leaves=("emission",),
+        ),
+        Denoiser(
+            "gaussian", "Gaussian blur, of indirect light only", gaussian, leaves=("emission", "direct", "caustic")
+        ),
+        Denoiser(
+            "nlm", "mean of pixels whose surroundings differ by no more than noise", non_local_means, ("variance",)
         ),
     )
 }

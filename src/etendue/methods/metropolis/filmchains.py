@@ -97,7 +97,9 @@ class FilmSettings(MetropolisSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.components:
-            raise OptionError("film_metropolis keeps samples of whole paths, not of components; use pssmlt for them")
+            raise OptionError(
+                "film_metropolis keeps whole paths, not components, which for_denoising turns on; use pssmlt"
+            )
 
 
 class _LeftOut(DirectWeights):

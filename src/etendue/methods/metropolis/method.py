@@ -70,9 +70,9 @@ def beside_paths(method: ImageMethod) -> type[ImageMethod]:
     return Path if method.lights.has_delta else Bpt
 
 
-def halves_as_layers(pictures: Array) -> dict[str, Array]:
+def halves_as_layers(pictures: Array, name: str = "image") -> dict[str, Array]:
     """Layers of the mean pictures of two halves, (2, height, width, 3)."""
-    return {"image": 0.5 * (pictures[0] + pictures[1]), "image" + CONTRAST: 0.5 * (pictures[0] - pictures[1])}
+    return {name: 0.5 * (pictures[0] + pictures[1]), name + CONTRAST: 0.5 * (pictures[0] - pictures[1])}
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,9 @@ class MetropolisMethod(Carrying, ImageMethod):
         samples = float(self.samples_per_iteration)
         layers = halves_as_layers(pictures.sum(axis=0))
         if self.settings.components:
-            layers |= zip(COMPONENTS, pictures.mean(axis=1), strict=True)
+            for name, halves in zip(COMPONENTS, pictures, strict=True):
+                parts = halves_as_layers(halves, name)
+                layers |= parts if self.settings.aovs else {name: parts[name]}
         sums = {name: layer * samples for name, layer in layers.items()}
         weights = dict.fromkeys(sums, samples)
         if self.settings.aovs:

@@ -2,7 +2,7 @@
 
 import { choice, controls, entry, fillChoice, fillIn, isTyping, make, numeric, numerics } from './controls.js';
 
-const EVERY = ['max_depth', 'rr_depth', 'samples_per_pass', 'sampler', 'scrambling', 'reconstruction', 'aovs', 'components', 'cryptomatte'];
+const EVERY = ['max_depth', 'rr_depth', 'samples_per_pass', 'sampler', 'scrambling', 'reconstruction', 'aovs', 'components', 'cryptomatte', 'for_denoising'];
 
 /** Build them; returns the function that shows a state. */
 export function sections(parent, connection, section) {
@@ -62,7 +62,13 @@ function display(parent, connection, section) {
   const content = section(parent, 'Display', true);
   const send = (change) => connection.send('show', change);
   const layer = choice('Layer', [], 'image', (name) => send({ layer: name }));
-  const denoise = choice('Denoiser', [], '', (name) => send({ denoise: name }));
+  let filters = {};
+  // As `etendue develop --denoise` reads it: the filter of all components, and those of single ones.
+  const written = (changed) => Object.entries({ ...filters, ...changed }).filter(([, one]) => one).map(([component, one]) => (
+    component ? `${component}=${one.name}${one.name === 'none' ? '' : `:radius=${one.radius}:strength=${one.strength}`}` : one.name)).join(',');
+  const denoise = choice('Denoiser', [], '', (name) => send({ denoise: written({ '': name ? { name } : null }) }));
+  const single = make('details', {}, make('summary', {}, 'Denoiser of each component'));
+  const hint = make('p', { class: 'soft' }, 'Denoisers need the setting “for denoising” of all methods.');
   const radius = entry('Radius', '', (value) => send({ radius: numeric(value) }), { inputmode: 'numeric' });
   const strength = entry('Strength', '', (value) => send({ strength: numeric(value) }), { inputmode: 'decimal' });
   const curve = choice('Tone curve', [], 'srgb', (name) => send({ curve: name }));
@@ -77,13 +83,41 @@ function display(parent, connection, section) {
     exposure.value = stops;
     output.textContent = message.exposure.toFixed(2);
   });
-  content.append(layer.element, denoise.element, make('div', { class: 'row' }, radius.element, strength.element), curve.element,
+  content.append(layer.element, denoise.element, make('div', { class: 'row' }, radius.element, strength.element), hint, single, curve.element,
     make('div', {}, make('div', { class: 'row' }, make('span', { class: 'grow soft' }, 'Exposure ', output, ' stops'),
       make('label', { class: 'check' }, automatic, make('span', {}, 'automatic'))), exposure));
-  return ({ show, layers, curves, denoisers }) => {
+  const row = (component) => {
+    const change = (values) => send({ denoise: written({ [component]: values.name === '' ? null : { ...own(), ...values } }) });
+    const pick = choice(component, [], '', (name) => change({ name }));
+    const size = entry('Radius', '', (value) => change({ radius: numeric(value) }), { inputmode: 'numeric' });
+    const much = entry('Strength', '', (value) => change({ strength: numeric(value) }), { inputmode: 'decimal' });
+    let now = {};
+    const own = () => filters[component] ?? { name: 'none', radius: now.radius, strength: now.strength };
+    const options = make('div', { class: 'row' }, size.element, much.element);
+    return { element: make('div', {}, pick.element, options), show: (show, denoisers) => {
+      now = show;
+      fillChoice(pick.select, [{ name: '', label: 'as above' }, { name: 'none' }, ...denoisers], filters[component]?.name ?? '');
+      options.hidden = !filters[component] || filters[component].name === 'none';
+      fillIn(size.input, own().radius);
+      fillIn(much.input, own().strength);
+    } };
+  };
+  let rows = [];
+  let built = '';
+  return ({ show, layers, components, curves, denoisers, ...state }) => {
+    filters = state.filters;
+    const every = [...new Set([...components, ...Object.keys(filters).filter((name) => name)])];
+    if (built !== every.join(' ')) {
+      built = every.join(' ');
+      rows = every.map(row);
+      single.replaceChildren(single.firstChild, ...rows.map(({ element }) => element));
+    }
+    rows.forEach((one) => one.show(show, denoisers));
+    single.hidden = !every.length;
+    hint.hidden = !show.denoise || layers.includes('variance');
     fillChoice(layer.select, layers.map((name) => ({ name, label: name === 'image' ? 'picture' : name })), show.layer);
-    fillChoice(denoise.select, [{ name: '', label: 'none' }, ...denoisers], show.denoise);
-    radius.element.hidden = strength.element.hidden = !show.denoise;
+    fillChoice(denoise.select, [{ name: '', label: 'none' }, ...denoisers], filters['']?.name ?? '');
+    radius.element.hidden = strength.element.hidden = !filters[''];
     fillIn(radius.input, show.radius);
     fillIn(strength.input, show.strength);
     fillChoice(curve.select, curves, show.curve);
