@@ -13,6 +13,7 @@ from support.running import go, mitsuba_path, prepared, replicas, run
 from support.statistics import assert_agree
 from support.tables import thinned
 
+import etendue
 from etendue.core import CheckpointError
 from etendue.scene import load
 
@@ -61,7 +62,9 @@ SWITCHES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", thinned(SWITCHES, ("power",)))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if name == "naive" else "mixed"
-    scene = scenes.room(emitter, scenes.FEW, rfilter="gaussian")
+    # Uniform directions rarely find the bright ones of glossy materials, and such means are not normal.
+    materials = ("diffuse",) if name == "uniform directions" else scenes.FEW
+    scene = scenes.room(emitter, materials, rfilter="gaussian")
     reference = mitsuba_path(scene, passes=6, samples=256)
     images = replicas(scene, "guided", runs=6, passes=6, samples=96, **TRAINED | SWITCHES[name])
     assert_agree(images, reference, name, precision=0.03)
@@ -202,11 +205,23 @@ def test_a_black_picture_teaches_nothing():
 def test_the_noise_of_its_weighted_passes():
     """Var m = sum w^2 (x - m)^2 / ((sum w)^2 - sum w^2), of passes of weight w and picture x."""
     found = go(prepared(behind_a_door(), "guided", samples_per_pass=4, generations=3), 9)
-    weights = np.repeat([0.125, 0.25, 0.5, 1.0], [1, 2, 4, 2])
+    weights = np.repeat([0.375, 0.75, 1.0], [1, 2, 6])
     mean = np.average(found.images, axis=0, weights=weights)
     scatter = np.tensordot(weights**2, np.square(found.images - mean), axes=1)
     variance = scatter / (weights.sum() ** 2 - np.square(weights).sum())
     np.testing.assert_allclose(found.measurement.variance_of_mean(), variance, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_small_budgets_are_no_noisier_than_path():
+    """Where next event estimation finds nearly all light and there is little to learn: 64 samples a pixel. Ratios of
+    variance for nine seeds in threes: 0.93, 0.93, 0.94; with one share of the guide for all cells, 1.25 to 1.28."""
+
+    def noise(method: str) -> float:
+        made = [etendue.render("cornell-box", method, samples=64, size=(64, 64), seed=seed).image for seed in (1, 2, 3)]
+        return float((np.var(made, axis=0, ddof=1) / (np.mean(made, axis=0) ** 2 + 0.01)).mean())
+
+    assert noise("guided") < noise("path")
 
 
 def test_the_size_of_the_guide_is_that_of_the_state():

@@ -15,7 +15,8 @@ from support.statistics import assert_mean
 from support.tables import crossed
 
 from etendue.core import IndependentSource
-from etendue.transport import NOWHERE, Guide, direction_of, scatter_camera, scatter_uniform, square_of
+from etendue.transport import FITS, NOWHERE, Guide, direction_of, scatter_camera, scatter_uniform, square_of
+from etendue.transport.guiding.guide import PER_STERADIAN, _fit
 
 N = 400_000
 MATERIALS = ("diffuse", "roughplastic", "roughconductor", "roughdielectric")
@@ -167,6 +168,34 @@ def test_a_guide_that_knows_nothing_changes_nothing():
     for name in ("direction", "weight", "pdf", "eta", "active"):
         np.testing.assert_array_equal(np.asarray(getattr(mine, name)), np.asarray(getattr(plain, name)))
     np.testing.assert_array_equal(np.asarray(before.pdf), np.asarray(after.pdf))
+
+
+def test_the_share_of_the_guide_is_that_of_least_divergence():
+    """In each cell, up to the width of the classes and of the grid, beside minimising over the densities themselves."""
+    guide, random, most = learned(), np.random.default_rng(2), 0.8
+    again = Guide(*BOX)
+    again.restore(guide.state())
+    light, densities = random.random((guide.cells, 2000)), random.gamma(0.5, size=(2, guide.cells, 2000))
+    light *= densities[0] ** np.linspace(-0.5, 1.0, guide.cells)[:, None]  # the guide fits ever better
+    classes = np.asarray(_fit(*(mi.Float(x.ravel()) for x in (densities[0] / PER_STERADIAN, densities[1]))))
+    at = np.repeat(np.arange(guide.cells), 2000) * FITS + classes
+    fits = np.bincount(at, light.ravel(), guide.cells * FITS).reshape(guide.cells, FITS)
+    none = np.zeros(guide.places)
+    again.learn(none, none, most=1e9, leaf_share=0.01, share=most, fits=fits)
+    found = again.state()["shares"]
+    grid = np.linspace(0.1 * most, most, 400)
+    by_both = [np.log(a * densities[0] + (1.0 - a) * densities[1]) for a in grid]
+    best = grid[np.argmax([(light * value).sum(axis=1) for value in by_both], axis=0)]
+    assert best.min() == grid[0] and best.max() > 0.7 * most
+    np.testing.assert_allclose(found, best, atol=0.06)
+
+
+def test_a_new_guide_starts_with_a_small_share():
+    """How well it fits is not known before it is used."""
+    guide = Guide(*BOX)
+    found = np.ones(guide.places)
+    guide.learn(found, found, most=1e9, leaf_share=0.01, share=0.6, fits=np.ones((guide.cells, FITS)))
+    np.testing.assert_allclose(guide.state()["shares"], 0.06)
 
 
 def test_the_guide_comes_back_from_its_state():

@@ -10,8 +10,8 @@ stores, for each cell of the scene and each leaf of a quadtree over the directio
 where L contains the MIS weights of the picture, so that light found by light points at x counts little. Training has
 generations; each has twice as many passes as the one before, and starts with refined trees and empty sums. The weight
 of a pass in the picture depends only on its generation, so the mean is unbiased; weights by measured variances
-[Muller 2019] would be biased. The guide also learns the selection of lights, and Russian roulette uses its estimates
-[Vorba 2016].
+[Muller 2019] would be biased. The guide also learns the share of its directions in each cell, so that it is used where
+it pays, and the selection of lights, and Russian roulette uses its estimates [Vorba 2016].
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from etendue.core import (
 )
 from etendue.film import Component
 from etendue.scene import Problem
-from etendue.transport import FOUND_UNITS, FirstHits, Guide, GuidedPath, GuidedWalk, TrainingSamples
+from etendue.transport import FITS, FOUND_UNITS, FirstHits, Guide, GuidedPath, GuidedWalk, TrainingSamples
 
 from .base import STEP_LANES, ImageSettings, Layer, total
 from .ending import EndsInMap
@@ -58,7 +58,10 @@ class GuidedSettings(EndingPathSettings):
         maximum=24,
     )
     share: float = setting(
-        0.6, "probability of sampling a direction from the guide, else from the material", above=0.0, maximum=0.99
+        0.6,
+        "largest probability of sampling a direction from the guide, else from the material; learned for each cell",
+        above=0.0,
+        maximum=0.99,
     )
     learn_lights: bool = setting(
         True, "learn for each cell the probabilities of the lights in next event estimation, with up to 16 lights"
@@ -76,7 +79,7 @@ class GuidedSettings(EndingPathSettings):
         maximum=1.0,
     )
     first_weight: float = setting(
-        0.125,
+        0.375,
         "weight of the first pass, which is not guided, in the picture; doubles with each generation, up to 1",
         above=0.0,
         maximum=1.0,
@@ -91,8 +94,8 @@ class Guided(Carrying, EndsInMap):
     settings: GuidedSettings
     citations: ClassVar[tuple[str, ...]] = ("Muller2017", "Muller2019", "Vorba2016", "Shirley1997", *Path.citations)
     carries_on: ClassVar[bool] = True
-    #: Four generations of training and a pass, if a budget has the samples.
-    least_passes = 16
+    #: Five generations of training and a pass, if a budget has the samples.
+    least_passes = 32
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`; the guide is untrained."""
@@ -114,6 +117,7 @@ class Guided(Carrying, EndsInMap):
     def _clear_sums(self) -> None:
         self._found = dr.zeros(mi.UInt64, self._guide.places)
         self._seen = dr.zeros(mi.UInt32, self._guide.places)
+        self._fits = dr.zeros(mi.UInt64, self._guide.cells * FITS)
         self._brought = dr.zeros(mi.UInt64, self._guide.cells * max(1, self._guide.light_count))
 
     @property
@@ -181,10 +185,10 @@ class Guided(Carrying, EndsInMap):
         if self._unit <= 0.0:
             self._unit = float(np.asarray(found).mean(dtype=np.float64))
         if self._unit > 0.0:
-            light, seen = collected.deposit(self._guide.places, found, self._unit)
-            self._found, self._seen = self._found + light, self._seen + seen
+            light, seen, fits = collected.deposit(self._guide, found, self._unit)
+            self._found, self._seen, self._fits = self._found + light, self._seen + seen, self._fits + fits
         self._brought = self._brought + collected.brought
-        dr.eval(self._found, self._seen, self._brought)
+        dr.eval(self._found, self._seen, self._fits, self._brought)
         self._passes += 1
         if self._passes < 1 << self._generation:
             return
@@ -195,6 +199,7 @@ class Guided(Carrying, EndsInMap):
             most=o.cell_samples * math.sqrt(self._passes),
             leaf_share=o.leaf_share,
             share=o.share,
+            fits=np.array(self._fits, np.float64).reshape(self._guide.cells, -1),
             brought=np.array(self._brought, np.float64).reshape(self._guide.cells, -1),
         )
         self._generation += 1
@@ -217,20 +222,23 @@ class Guided(Carrying, EndsInMap):
             "guide": self._guide.state(),
             "found": self._found,
             "seen": self._seen,
+            "fits": self._fits,
             "brought": self._brought,
         } | dict(EndsInMap.start(self))
 
     def _take(self, state: State) -> None:
         EndsInMap.enter(self, state)
+        if "fits" not in state:
+            raise CheckpointError("the checkpoint is of another version of guided; start a new run")
         found, seen = np.asarray(state["found"], np.uint64), np.asarray(state["seen"], np.uint32)
         self._guide.restore(state["guide"])
-        if (len(found), len(seen)) != (self._guide.places, self._guide.places):
+        fits, brought = (np.asarray(state[name], np.uint64) for name in ("fits", "brought"))
+        if (len(found), len(seen), len(fits)) != (self._guide.places, self._guide.places, self._guide.cells * FITS):
             raise CheckpointError("the guide in the checkpoint is damaged; start a new run")
         self._generation, self._passes, self._unit = (
             int(state["generation"]),
             int(state["passes"]),
             float(state["unit"]),
         )
-        brought = np.asarray(state["brought"], np.uint64)
         self._found, self._seen = copied_to_device(mi.UInt64, found), copied_to_device(mi.UInt32, seen)
-        self._brought = copied_to_device(mi.UInt64, brought)
+        self._fits, self._brought = copied_to_device(mi.UInt64, fits), copied_to_device(mi.UInt64, brought)

@@ -22,7 +22,7 @@ from .firsthits import FirstHits, seen_shapes
 from .functions import TransportFunctions, film_picture
 from .guiding.connections import CLASSES, ConnectionGuide, ConnectionSums
 from .guiding.emission import EmissionGuide, EmissionSums, EmissionTraining
-from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .guiding.guide import FITS, NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.learning import (
     GENERATIONS,
     GUIDE,
@@ -69,6 +69,7 @@ __all__ = [
     "CLASSES",
     "EMISSION",
     "FIRST_BOUNCE",
+    "FITS",
     "FOUND_UNITS",
     "GENERATIONS",
     "GRAZING",

@@ -1,7 +1,9 @@
 r"""The guide: a learned density of directions for each cell of the scene, sampled in a mixture with the BSDF.
 
 A cell is a range of positions and surface normals. Scattering samples the guide's density of the cell with probability
-a, and the BSDF otherwise [Muller 2017]. The density of the direction is that of the mixture,
+a, and the BSDF otherwise [Muller 2017]. The probability a is learned for each cell [Muller 2019]: in a cell with few
+samples, or with a material that follows the light, the BSDF is better. The density of the direction is that of the
+mixture,
 
 .. math:: p(\omega) = a\, p_{guide}(\omega) + (1 - a)\, p_{BSDF}(\omega),
 
@@ -34,6 +36,12 @@ from .lights import MOST_LIGHTS, LightChoice, LocalLights
 PER_STERADIAN = 0.25 / np.pi
 #: The largest number below one.
 _BELOW_ONE = 1.0 - 2.0**-24
+#: Classes of directions by the density of the guide over the sum of those of guide and material, and their middles.
+FITS = 16
+_FITS = (np.arange(FITS) + 0.5) / FITS
+#: Shares of the guide to choose from, relative to the greatest one. The first is that of a cell which has just learned
+#: for the first time: how well a density fits is known only after it has been used.
+_SHARES = np.linspace(0.1, 1.0, 19)
 #: The ``place`` of a direction that is in no leaf.
 NOWHERE = 0xFFFFFFFF
 
@@ -63,6 +71,7 @@ class GuidedScattered(Scattered):
     """A direction sampled from the BSDF or the guide, one lane each."""
 
     place: mi.UInt32  #: leaf of the guide's quadtrees that holds the direction; NOWHERE for a delta scattering
+    fit: mi.UInt32  #: class of the direction, below FITS
     glow: mi.Float  #: expected reflected luminance without that of light points; 0: unknown
 
 
@@ -85,12 +94,12 @@ class Guide:
         self.light_count = 0 if lights is None else lights.count
         self._trees = Quadtrees.even(self._cells.count)
         self._glow = np.zeros(self._cells.count)
-        self._share = 0.0
+        self._shares = np.zeros(self._cells.count)
         self._upload()
 
     def _upload(self) -> None:
         self._sampler = QuadtreeSampler(self._trees)
-        pairs = np.stack([np.where(self._glow > 0.0, self._share, 0.0), self._glow], axis=1)
+        pairs = np.stack([self._shares, self._glow], axis=1)
         self._pairs = copied_to_device(mi.Float, pairs.astype(np.float32))
 
     @property
@@ -169,7 +178,8 @@ class Guide:
 
         by_bsdf = active & ~by_guide & sampled.active
         there, its_place = self._sampler.find(cell, square_of(sampled.direction), by_bsdf & smooth & ~sampled.is_delta)
-        pdf = _mixed(share, dr.select(by_guide, density, there), dr.select(by_guide, guided.pdf, sampled.pdf))
+        by_both = dr.select(by_guide, density, there), dr.select(by_guide, guided.pdf, sampled.pdf)
+        pdf = _mixed(share, *by_both)
         value = dr.select(by_guide, guided.value, sampled.weight * sampled.pdf)
         is_delta = sampled.is_delta & ~by_guide
         direction = dr.select(by_guide, toward, sampled.direction)
@@ -187,6 +197,7 @@ class Guide:
             active=active,
             by_guide=by_guide,
             place=dr.select(smooth & ~is_delta, dr.select(by_guide, place, its_place), NOWHERE),
+            fit=_fit(*by_both),
             glow=dr.select(smooth & ~is_delta, glow, 0.0),
         ), evaluated
 
@@ -200,6 +211,7 @@ class Guide:
         most: float,
         leaf_share: float,
         share: float,
+        fits: NDArray[np.float64] | None = None,
         brought: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
         """Learn from training samples, and refine cells and quadtrees. Returns (cells,): for each new cell, the old
@@ -211,16 +223,18 @@ class Guide:
         samples: (places,) numbers of training samples.
         most: samples from which on a cell is divided.
         leaf_share: share of a cell's light from which on a leaf of its quadtree is divided.
-        share: probability a of the guide, in cells in which light was found.
+        share: greatest probability a of the guide.
+        fits: (cells, FITS) sums of reflected light by class of its direction. They determine the probability in cells
+            that had learned before; without them it is ``share``.
         brought: (cells, lights) contributions of light points, if light selection is learned.
         """
         tree = self._trees.tree_of_place()
         light, count = np.bincount(tree, found, self.cells), np.bincount(tree, samples, self.cells)
         self._glow = np.where(light > 0.0, light / np.maximum(count, 1), self._glow)
-        self._share = share
+        self._shares = np.where(self._glow > 0.0, _shares(self._shares, fits, share), 0.0)
         trees = self._trees.with_mass(found)
         origin = self._cells.split(count, most)
-        self._glow = self._glow[origin]
+        self._glow, self._shares = self._glow[origin], self._shares[origin]
         self._trees = trees.refined(origin, leaf_share)
         if self._choice is not None and brought is not None:
             self._choice.learn(brought, origin)
@@ -231,7 +245,7 @@ class Guide:
         """The learned state, as arrays that are not modified later."""
         return {
             "glow": self._glow,
-            "share": np.array(self._share),
+            "shares": self._shares,
             **self._cells.to_arrays(),
             **self._trees.to_arrays(),
             **({} if self._choice is None else {"lights": self._choice.shares}),
@@ -243,8 +257,27 @@ class Guide:
         if self._choice is not None:
             self._choice.restore(state["lights"])
         self._trees = Quadtrees.from_arrays(state)
-        self._glow, self._share = np.asarray(state["glow"], np.float64), float(state["share"])
+        self._glow, self._shares = (np.asarray(state[name], np.float64) for name in ("glow", "shares"))
         self._upload()
+
+
+def _shares(before: Array, fits: Array | None, most: float) -> Array:
+    """(cells,) probabilities of the guide: with a direction of density g by the guide and b by the material, and its
+    light v, that of the greatest ``sum v log(a g + (1 - a) b)``, which has the least divergence from the light
+    [Muller 2019]."""
+    if fits is None:
+        return np.full(len(before), most)
+    shares = most * _SHARES
+    mixed = shares * _FITS[:, None] + (1.0 - shares) * (1.0 - _FITS[:, None])
+    best = shares[np.argmax(fits @ np.log(mixed), axis=1)]
+    found: Array = np.where(before > 0.0, np.where(fits.any(axis=1), best, before), shares[0])
+    return found
+
+
+def _fit(square_density: mi.Float, pdf: mi.Float) -> mi.UInt32:
+    """Class of a direction by the densities of guide and material."""
+    guide = square_density * PER_STERADIAN
+    return mi.UInt32(dr.clip(FITS * guide / dr.maximum(guide + pdf, 1e-30), 0.0, FITS - 1.0))
 
 
 def _mixed(share: mi.Float, square_density: mi.Float, pdf: mi.Float) -> mi.Float:

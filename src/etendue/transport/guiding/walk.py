@@ -19,7 +19,7 @@ from etendue.core import SampleSource
 from ..direct import DirectWeights
 from ..emission import DirectSample
 from ..walk import CameraPath, Walker
-from .guide import NOWHERE, Guide, GuidedScattered
+from .guide import FITS, NOWHERE, Guide, GuidedScattered
 
 #: Training samples are summed as integers, so that the sum does not depend on the order of the additions. Units per
 #: mean luminance of a path, and the largest value of one sample.
@@ -30,8 +30,9 @@ _VERTICES = 6
 _BYTES = 16
 #: Least throughput by which contributions are divided.
 _FAINT = 1e-20
-#: Least survival probability of roulette.
-_LEAST_SURVIVAL = 0.1
+#: Roulette ends paths where the light expected beyond is below one part in so many of that at the first vertex, the
+#: lower end of a window of size 5 [Vorba 2016]; and least survival probability.
+_WINDOW, _LEAST_SURVIVAL = 3.0, 0.1
 
 
 @dataclass(kw_only=True)
@@ -70,12 +71,13 @@ class TrainingSamples:
         #: (cells * lights) contributions of light points, in units.
         self.brought = dr.zeros(mi.UInt64, guide.cells * max(1, self._lights))
 
-    def record(self, s: GuidedPath, scattered: GuidedScattered, wanted: mi.Bool) -> None:
-        """Store the sampled direction at vertex ``s.depth``, and luminance and throughput of the path before it."""
+    def record(self, s: GuidedPath, cell: mi.UInt32, scattered: GuidedScattered, wanted: mi.Bool) -> None:
+        """Store the sampled direction at vertex ``s.depth`` in ``cell``, and luminance and throughput of the path
+        before it."""
         active = self._mine & s.active & wanted & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
         carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
         bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.found, carried))
-        packet = mi.Vector4u(scattered.place + 1, *bits, 0)
+        packet = mi.Vector4u(scattered.place + 1, *bits, cell * FITS + scattered.fit)
         dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
 
     def record_light(
@@ -89,10 +91,11 @@ class TrainingSamples:
         place = cell * self._lights + light.light
         dr.scatter_add(self.brought, units, place, seen & (self._scale > 0.0), dr.ReduceMode.Direct)
 
-    def deposit(self, places: int, found: mi.Float, unit: float) -> tuple[mi.UInt64, mi.UInt32]:
-        """Sums over the samples in each of the guide's ``places``: (light, in units; samples). ``found``: luminance of
-        the finished paths."""
-        light, seen = dr.zeros(mi.UInt64, places), dr.zeros(mi.UInt32, places)
+    def deposit(self, guide: Guide, found: mi.Float, unit: float) -> tuple[mi.UInt64, mi.UInt32, mi.UInt64]:
+        """Sums over the samples of the pass: (light in each of the guide's places, in units; samples there; light of
+        each cell by classes of directions). ``found``: luminance of the finished paths."""
+        light, seen = dr.zeros(mi.UInt64, guide.places), dr.zeros(mi.UInt32, guide.places)
+        fits = dr.zeros(mi.UInt64, guide.cells * FITS)
         path = dr.arange(mi.UInt32, self._count)
         found = dr.gather(mi.Float, found, path * self._stride)
         scale = dr.opaque(mi.Float, FOUND_UNITS / unit)
@@ -105,8 +108,9 @@ class TrainingSamples:
             # Direct mode, because other modes compile the number of places into the kernel.
             dr.scatter_add(seen, mi.UInt32(1), place, active, dr.ReduceMode.Direct)
             active &= value >= 1.0
-            dr.scatter_add(light, mi.UInt64(value), place, active, dr.ReduceMode.Direct)
-        return light, seen
+            for sums, index in ((light, place), (fits, packet[3])):
+                dr.scatter_add(sums, mi.UInt64(value), index, active, dr.ReduceMode.Direct)
+        return light, seen, fits
 
 
 @dataclass(kw_only=True)
@@ -153,7 +157,7 @@ class GuidedWalk(Walker):
 
         # ---- Advance; roulette by expected light
         assert isinstance(scattered, GuidedScattered)
-        self.training.record(s, scattered, ~self.ends(vertex))
+        self.training.record(s, cell, scattered, ~self.ends(vertex))
         known = s.active & (scattered.glow > 0.0)
         carried = mi.luminance(s.throughput) * scattered.glow
         s.expected = dr.select(known, carried, s.expected * dr.max(scattered.weight))
@@ -161,7 +165,7 @@ class GuidedWalk(Walker):
         s.cell = dr.select(scattered.is_null, s.cell, cell)
         s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         estimated = s.expected_at_first > 0.0
-        ratio = mi.Color3f(dr.maximum(s.expected / s.expected_at_first, _LEAST_SURVIVAL))
+        ratio = mi.Color3f(dr.maximum(_WINDOW * s.expected / s.expected_at_first, _LEAST_SURVIVAL))
         by = dr.select(estimated, ratio, s.throughput * scattered.weight)
         eta = dr.select(estimated, 1.0, s.eta * scattered.eta)
         s.expected = s.expected * self.advance(s, vertex, scattered, source, (by, eta))
