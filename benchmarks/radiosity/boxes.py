@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +35,7 @@ from .drivers import DRIVERS, INDEPENDENT
 from .options import OUT
 from .references import mean_squared_error
 from .scenes import FURNISHED, LEAST
+from .sweeping import half_and_half
 
 Rooms = Annotated[
     Any, typer.Option("--scene", parser=named(FURNISHED, "scene"), help="Names, by commas.", metavar="NAMES")
@@ -89,12 +89,12 @@ class Room:
             total += method.step(k, seed, {}).measurement
         return method.solution(total).on(self.patches).radiosity
 
-    @cached_property
-    def references(self) -> dict[bool, tuple[Array, Array]]:
-        """Of the method with and without boxes its own converged radiosity, in two halves [Castro 2002, sec. 5.4]."""
-        found = {}
+    def references(self, lines: int = 0) -> dict[bool, tuple[Array, Array]]:
+        """Of the method with and without boxes its own converged radiosity [Castro 2002, sec. 5.4], in two halves of
+        four times the ``lines`` or more."""
+        found, passes = {}, max(_PASSES, 4 * lines // _REFERENCE)
         for is_boxed in (True, False):
-            halves = [self.solved(self.method(is_boxed, _REFERENCE, seed=9000 + half), _PASSES, 0) for half in range(2)]
+            halves = [self.solved(self.method(is_boxed, _REFERENCE, seed=9000 + half), passes) for half in range(2)]
             found[is_boxed] = halves[0], halves[1]
         return found
 
@@ -202,47 +202,69 @@ def errors(
     sequences: Annotated[
         Any, typer.Option("--sequences", parser=named(DRIVERS, "sequence"), help="Names, by commas.", metavar="NAMES")
     ] = "independent,halton,golden weyl",
-    lines: Counts = "16384,65536,131072",
-    seeds: Seeds = 10,
+    lines: Counts = "131072,1048576,4194304",
+    seeds: Seeds = 5,
     out: Out = OUT,
 ) -> Iterator[Record]:
-    """A table of each scene: error and time with and without boxes, and what sequences gain (tables 5.2 to 5.7)."""
+    """A table of each scene: error and time by multipath as the thesis has it, by the flat method, and in boxes, and
+    what sequences gain (tables 5.2 to 5.7, figure 5.46)."""
     for name in scenes:
         yield _errors(Room.of(name), sequences, lines, seeds)
 
 
+#: Multipath as the thesis has it: rays from the lamp by the cosine law, then power along lines as they are cast.
+#: "flat": rays aimed at patches, lines that are kept and used by each iteration, as by the method with boxes.
+_CLASSIC, _FLAT, _BOXES = "classic", "flat", "boxes"
+
+
 def _errors(room: Room, names: list[str], counts: Sequence[int], seeds: int) -> Record:
-    runs = [(is_boxed, name) for is_boxed in (False, True) for name in names]
+    runs = [(kind, name) for kind in (_CLASSIC, _FLAT, _BOXES) for name in names]
     found = {run: np.empty((seeds, len(counts))) for run in runs}
     spent = {run: np.empty((seeds, len(counts))) for run in runs}
-    exact = {is_boxed: np.mean(halves, axis=0) for is_boxed, halves in room.references.items()}
-    noise = max(mean_squared_error(room.patches, *halves) / 4 for halves in room.references.values())
+    references = room.references(max(counts))
+    exact = {is_boxed: np.mean(halves, axis=0) for is_boxed, halves in references.items()}
+    noise = max(mean_squared_error(room.patches, *halves) / 4 for halves in references.values())
+    scene = RayScene(room.patches)
     for seed in range(-1, seeds):  # the first compiles
         for k, count in enumerate(counts):
-            for run in runs:
-                method = room.method(*(run[0], count, run[1], seed + 1))
+            for kind, name in runs:
+                boxed = kind == _BOXES
+                method = None if kind == _CLASSIC else room.method(boxed, count, name, seed + 1)
                 begin = time.process_time()
-                radiosity = room.solved(method)
+                if method is None:
+                    radiosity = half_and_half(scene, DRIVERS[name], count, seed + 1).radiosity
+                else:
+                    radiosity = room.solved(method)
                 if seed >= 0:
-                    spent[run][seed, k] = time.process_time() - begin
-                    found[run][seed, k] = mean_squared_error(room.patches, radiosity, exact[run[0]])
-    plain = found[False, INDEPENDENT] * np.median(spent[False, INDEPENDENT], axis=0)
+                    spent[kind, name][seed, k] = time.process_time() - begin
+                    found[kind, name][seed, k] = mean_squared_error(room.patches, radiosity, exact[boxed])
+    work = {run: found[run] * np.median(spent[run], axis=0) for run in runs}
     totals = Record(
         f"Errors of multipath with and without boxes, {room.title}, {seeds} seeds",
-        ("", "sequence", *(f"MSE, N = {n}" for n in counts), "to independent", "CPU s", "MSE x time to flat", "thesis"),
+        (
+            *("", "sequence", *(f"MSE, N = {n}" for n in counts), "to independent", "CPU s"),
+            *(f"MSE x time to {kind}" for kind in (_CLASSIC, _FLAT)),
+            *(f"to {_CLASSIC}, N = {n}" for n in counts),
+            "thesis",
+        ),
     )
-    for run in runs:
-        base = found[run[0], INDEPENDENT]
-        work = found[run] * np.median(spent[run], axis=0)
-        thesis = {(False, INDEPENDENT): "1", (True, INDEPENDENT): "0.5", (True, "halton"): "0.3"}.get(run, "")
+    for kind, name in runs:
+        run = kind, name
+        thesis = {(_CLASSIC, INDEPENDENT): "1", (_BOXES, INDEPENDENT): "0.5", (_BOXES, "halton"): "0.3"}.get(run, "")
+        classic, flat = (work[base, INDEPENDENT] for base in (_CLASSIC, _FLAT))
         totals.add(
-            *("boxes" if run[0] else "flat", run[1], *(f"{value:.4g}" for value in found[run].mean(axis=0))),
-            *(_quotient(found[run], base), f"{np.median(spent[run][:, -1]):.2f}", _quotient(work, plain), thesis),
+            *(kind, name, *(f"{value:.4g}" for value in found[run].mean(axis=0))),
+            *(_quotient(found[run], found[kind, INDEPENDENT]), f"{np.median(spent[run][:, -1]):.2f}"),
+            *(_quotient(work[run], base) for base in (classic, flat)),
+            *(f"{work[run][:, k].mean() / classic[:, k].mean():.2f}" for k in range(len(counts))),
+            thesis,
         )
     totals.notes += [
-        "N rays of a first shot aimed at patches, then N lines (flat), or 0.65 N around boxes and 0.25 N in them; "
-        "each error is measured from the method's own converged solution; CPU seconds for the largest N",
-        "to independent, and to flat: geometric mean over N of quotients of means; standard errors by the seeds",
+        "classic: N rays from the lamp by the cosine law, then power along N lines as they are cast; flat: N rays "
+        "aimed at patches, N lines that every iteration uses; boxes: the same with 0.65 N lines around boxes and 0.25 "
+        "N in them. Each error is measured from the method's own converged solution; CPU seconds for the largest N",
+        "to independent, classic and flat (both by independent numbers): geometric mean over N of quotients of means; "
+        "standard errors by the seeds",
         f"noise of the references: {noise:.2g}, {noise / min(f.mean(axis=0)[-1] for f in found.values()):.1%} of the "
         "least error",
     ]
@@ -281,7 +303,8 @@ def _bias(room: Room, out: Path) -> Record:
         "farther": distance > 0.75,
         "all": distance >= 0,
     }
-    flat = room.references[False]
+    references = room.references()
+    flat = references[False]
     record = Record(
         f"Bias of boxes, {room.title}",
         (
@@ -295,7 +318,7 @@ def _bias(room: Room, out: Path) -> Record:
         ),
     )
     for grid, sectors, rings in ((4, 4, 2), (8, 8, 4)):
-        halves = room.references[True]
+        halves = references[True]
         if (grid, sectors, rings) != (4, 4, 2):
             finer: Any = {"grid": grid, "sectors": sectors, "rings": rings}
             methods = [room.method(True, _REFERENCE, seed=9000 + k, **finer) for k in range(2)]
