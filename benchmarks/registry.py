@@ -109,6 +109,8 @@ PROGRAMS = {
                 ),
                 Benchmark("photons", "sweeps.photons", 6, "Four times the light paths against twice the radius."),
                 Benchmark("radii", "sweeps.radii", 2, "What further radii in the same run cost."),
+                Benchmark("parts", "parts.measure", 6, "What merging and connecting find, early and late."),
+                Benchmark("combined", "parts.combined", 8, "Pictures of several radii together, beside the best."),
             ),
         ),
         Program(

@@ -11,7 +11,7 @@ from ..options import Out, ReferenceSeconds, Seconds, Seeds, Size
 from ..racing import ORDER, TRIM, Entrant, marks, order, race
 from ..references import Reference
 from .entrants import RADIUS, open_scene, the_four
-from .options import ALL, OUT, SIZE, ReferenceMethod, ReferenceRadius, Scenes
+from .options import ALL, OUT, SIZE, ReferenceMethod, ReferenceRadius, Roulette, Scenes
 from .references import recipe
 
 
@@ -20,27 +20,33 @@ def measure(
     size: Size = SIZE,
     seconds: Seconds = 20.0,
     seeds: Seeds = 3,
+    roulettes: Roulette = "albedo",
     reference_seconds: ReferenceSeconds = 60.0,
     method: ReferenceMethod = "vcm",
     millimetres: ReferenceRadius = 5.0,
     out: Out = OUT,
 ) -> Iterator[Record]:
-    """A table of each scene."""
+    """A table of each scene and roulette."""
     for name in scenes:
         reference = recipe(name, method, millimetres).find(size, out, reference_seconds)
-        yield _scene(name, size, seconds, seeds, out, reference)
+        for roulette in roulettes:
+            yield _scene(name, size, seconds, seeds, out, reference, roulette)
 
 
-def _scene(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
+def _scene(
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference, roulette: str
+) -> Record:
     """A table of one scene: RMS at four times, and the order early and late."""
     times = marks(seconds)
-    four = the_four()
+    four = the_four(roulette=roulette)
     ours = Entrant("vcm, our settings", "vcm", {"radius": RADIUS, "radius_unit": "absolute", "direct_light": "all"})
     tracks = race(open_scene(name, size), [*four, ours], reference.image, times, range(seeds))
-    plotting.save(out / f"convergence-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, name)
+    plotting.save(
+        out / f"convergence-{name}-{roulette}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, name
+    )
     shown = [len(times) - 1 - k for k in (4, 2, 1, 0)]
     record = Record(
-        f"Convergence, {name}, {size[0]}x{size[1]}, {seconds:g} s",
+        f"Convergence, {name}, {size[0]}x{size[1]}, {seconds:g} s, roulette by {roulette}",
         ("", "passes", *(f"RMS at {times[k]:g} s" for k in shown), "all pixels"),
     )
     for label, points in tracks.items():

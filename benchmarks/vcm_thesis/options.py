@@ -9,7 +9,8 @@ import typer
 
 from etendue.core import OptionError
 
-from ..options import scene_names, words
+from ..options import named, scene_names, words
+from .entrants import ROULETTE
 from .scenes import SCENES
 
 ALL = ",".join(SCENES)
@@ -34,6 +35,11 @@ Radii = Annotated[
     Any,
     typer.Option("--radius", parser=_lengths, help="First radii of vcm in millimetres.", metavar="MM[,MM...]"),
 ]
+Roulette = Annotated[
+    Any,
+    typer.Option("--roulette", parser=named(ROULETTE, "roulette"), help="Names, by commas.", metavar="NAMES"),
+]
+Passes = Annotated[int, typer.Option("--passes", min=2, help="Passes of one sample a pixel.", metavar="N")]
 ReferenceMethod = Annotated[
     str, typer.Option("--reference-method", help="What makes the references: vcm, bpt, path.", metavar="NAME")
 ]

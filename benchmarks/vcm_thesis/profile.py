@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +14,19 @@ from etendue.core import Replica
 from ..measuring import Record, interleaved
 from ..options import Rounds, Seconds, Size, WarmUp
 from ..racing import Entrant
-from .entrants import RADIUS, merging, open_scene
-from .options import ALL, SIZE, Scenes
+from .entrants import RADIUS, ROULETTE, merging, open_scene
+from .options import ALL, SIZE, Roulette, Scenes
 
 
 def measure(
-    names: Scenes = ALL, size: Size = SIZE, seconds: Seconds = 60.0, rounds: Rounds = 9, warm_up: WarmUp = 2
+    names: Scenes = ALL,
+    size: Size = SIZE,
+    seconds: Seconds = 60.0,
+    rounds: Rounds = 9,
+    warm_up: WarmUp = 2,
+    roulettes: Roulette = "albedo,throughput",
 ) -> Record:
-    """A row for each scene. ``seconds``: the time that the passes are counted for."""
+    """A row for each scene and roulette. ``seconds``: the time that the passes are counted for."""
     record = Record(
         f"Profile of VCM, {size[0]}x{size[1]}",
         (
@@ -38,7 +44,10 @@ def measure(
         ),
     )
     for name in names:
-        record.add(name, *_row(name, size, seconds, rounds, warm_up))
+        for roulette in roulettes:
+            record.add(
+                f"{name}, roulette by {roulette}", *_row(name, size, seconds, rounds, warm_up, ROULETTE[roulette])
+            )
     record.notes += [
         f"median of {rounds} rounds after {warm_up}, one sample a pixel; radius {1000 * RADIUS:g} mm, settings of the "
         "thesis, no merging at the first camera vertex",
@@ -50,9 +59,11 @@ def measure(
     return record
 
 
-def _row(name: str, size: tuple[int, int], seconds: float, rounds: int, warm_up: int) -> list[str]:
+def _row(
+    name: str, size: tuple[int, int], seconds: float, rounds: int, warm_up: int, roulette: Mapping[str, Any]
+) -> list[str]:
     problem = open_scene(name, size)
-    settings = merging("vcm", merge_first=False, samples_per_pass=1)
+    settings = merging("vcm", merge_first=False, samples_per_pass=1, **roulette)
     full = Replica(Entrant("vcm", "vcm", settings).prepared(problem, 0), 0)
     bare = Replica(Entrant("without", "vcm", settings | {"merging": False}).prepared(problem, 0), 0)
     rays = []
@@ -67,7 +78,7 @@ def _row(name: str, size: tuple[int, int], seconds: float, rounds: int, warm_up:
     light, grid = _kernels(full)
     counters = full.step(0).counters
     pixels = size[0] * size[1]
-    light_length, camera_length, camera_ends = _lengths(problem, size)
+    light_length, camera_length, camera_ends = _lengths(problem, size, roulette)
     photons = counters["light_vertices"]
     return [
         f"{seconds / a_pass:.0f}",
@@ -100,13 +111,13 @@ def _kernels(replica: Replica) -> tuple[float, float]:
     return spent[first], sum(spent[first + 1 : second])
 
 
-def _lengths(problem: Any, size: tuple[int, int]) -> tuple[float, float, float]:
+def _lengths(problem: Any, size: tuple[int, int], roulette: Mapping[str, Any]) -> tuple[float, float, float]:
     """Means over the paths of a pass: surfaces of a light path, surfaces of a camera path, and those of the latter that
     take connections.
 
     The camera paths are walked again; a pass that only merges casts the rays of both walks and no others.
     """
-    merger = Entrant("bpm", "bpm", merging("bpm", samples_per_pass=1)).prepared(problem, 0)
+    merger = Entrant("bpm", "bpm", merging("bpm", samples_per_pass=1, **roulette)).prepared(problem, 0)
     edges, met, ends = _camera_walk(merger)
     pixels = size[0] * size[1]
     # In a closed scene every edge ends on a surface.
@@ -129,7 +140,8 @@ def _camera_walk(estimator: Any) -> tuple[float, float, float]:
     lanes = dr.arange(mi.UInt32, estimator.camera.pixels)
     source = estimator.camera_numbers(lanes, 1, 0, 0)
     ray, _, _ = estimator.camera.primary(lanes, source)
-    walker = estimator.walker(Walker, survival=CameraWalk.survival)  # the roulette of the pass
+    by_albedo = estimator.settings.roulette == "albedo"
+    walker = estimator.walker(Walker, survival=CameraWalk.survival, by_albedo=by_albedo)  # the roulette of the pass
 
     def edge(s: Counted) -> Counted:
         vertex = walker.arrive(s)

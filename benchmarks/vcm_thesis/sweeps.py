@@ -13,8 +13,8 @@ from ..measuring import Record, interleaved, spread
 from ..options import Out, ReferenceSeconds, Rounds, Seconds, Seeds, Size, WarmUp
 from ..racing import ORDER, TRIM, Entrant, marks, race
 from ..references import Reference
-from .entrants import RADIUS, merging, open_scene
-from .options import OUT, SIZE, SPECULAR, ReferenceMethod, ReferenceRadius, Scenes
+from .entrants import RADIUS, ROULETTE, merging, open_scene
+from .options import OUT, SIZE, SPECULAR, ReferenceMethod, ReferenceRadius, Roulette, Scenes
 from .references import recipe
 
 #: The radii of the sweep, in millimetres, and the one for the photons.
@@ -27,6 +27,7 @@ def radius(
     size: Size = SIZE,
     seconds: Seconds = 20.0,
     seeds: Seeds = 3,
+    roulettes: Roulette = "albedo",
     reference_seconds: ReferenceSeconds = 60.0,
     method: ReferenceMethod = "vcm",
     millimetres: ReferenceRadius = 5.0,
@@ -35,22 +36,27 @@ def radius(
     """Passes and RMS for each scene."""
     for name in scenes:
         reference = recipe(name, method, millimetres).find(size, out, reference_seconds)
-        yield from _radius(name, size, seconds, seeds, out, reference)
+        for roulette in roulettes:
+            yield from _radius(name, size, seconds, seeds, out, reference, roulette)
 
 
 def _radius(
-    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference, roulette: str
 ) -> list[Record]:
     """Passes and RMS at growing times, for each radius with and without merging at the first camera vertex."""
     entrants = [
-        Entrant(f"{r:g} mm, {'on' if first else 'off'}", "vcm", merging("vcm", r / 1000.0, merge_first=first))
+        Entrant(
+            f"{r:g} mm, {'on' if first else 'off'}",
+            "vcm",
+            merging("vcm", r / 1000.0, merge_first=first, **ROULETTE[roulette]),
+        )
         for r in RADII
         for first in (True, False)
     ]
     times = marks(seconds, 6)
     tracks = race(open_scene(name, size), entrants, reference.image, times, range(seeds))
     plotting.save(out / f"radius-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, f"{name}, radius")
-    what = f"{name}, {size[0]}x{size[1]}, {seconds:g} s"
+    what = f"{name}, {size[0]}x{size[1]}, {seconds:g} s, roulette by {roulette}"
     passes = Record(f"Radius sweep: passes, {what}", ("own seconds", *tracks))
     errors = Record(f"Radius sweep: RMS of luminance, {what}", ("own seconds", *tracks))
     for k, at in enumerate(times):
@@ -72,6 +78,7 @@ def photons(
     size: Size = SIZE,
     seconds: Seconds = 30.0,
     seeds: Seeds = 3,
+    roulettes: Roulette = "albedo",
     reference_seconds: ReferenceSeconds = 60.0,
     method: ReferenceMethod = "vcm",
     millimetres: ReferenceRadius = 5.0,
@@ -80,14 +87,17 @@ def photons(
     """A table of each scene."""
     for name in scenes:
         reference = recipe(name, method, millimetres).find(size, out, reference_seconds)
-        yield _photons(name, size, seconds, seeds, out, reference)
+        for roulette in roulettes:
+            yield _photons(name, size, seconds, seeds, out, reference, roulette)
 
 
-def _photons(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
+def _photons(
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference, roulette: str
+) -> Record:
     """More light paths against a larger radius, at equal time: both have the same weights for merging."""
     millimetres = 1000.0 * PHOTON_RADIUS
     entrants = [
-        Entrant(label, "vcm", merging("vcm", r, merge_first=False) | {"light_paths": paths})
+        Entrant(label, "vcm", merging("vcm", r, merge_first=False, **ROULETTE[roulette]) | {"light_paths": paths})
         for label, r, paths in (
             (f"a: {millimetres:g} mm, n = pixels", PHOTON_RADIUS, 1.0),
             (f"b: {millimetres:g} mm, n = 4 x pixels", PHOTON_RADIUS, 4.0),
@@ -100,7 +110,7 @@ def _photons(name: str, size: tuple[int, int], seconds: float, seeds: int, out: 
         out / f"photons-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, f"{name}, photons"
     )
     record = Record(
-        f"Light paths and radius, {name}, {size[0]}x{size[1]}, {seconds:g} s",
+        f"Light paths and radius, {name}, {size[0]}x{size[1]}, {seconds:g} s, roulette by {roulette}",
         ("", "passes", *(f"RMS at {at:g} s" for at in times[1:]), "all pixels"),
     )
     for label, points in tracks.items():

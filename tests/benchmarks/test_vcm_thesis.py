@@ -109,7 +109,7 @@ def test_lengths_add_up():
         settings = entrants.merging("bpm", samples_per_pass=1) | {"light_paths": paths}
         merger = entrants.Entrant("bpm", "bpm", settings).prepared(problem, 0)
         rays[paths] = Replica(merger, 0).step(0).counters["rays"]
-    light, camera, ends = profile._lengths(problem, (96, 72))
+    light, camera, ends = profile._lengths(problem, (96, 72), {})
     pixels = 96 * 72
     # Path lengths vary by about their mean: the difference of two sets of 7000 paths is good to 3 %.
     assert (rays[2.0] - rays[1.0]) / pixels == pytest.approx(light, rel=0.08)
@@ -129,6 +129,8 @@ COMMANDS = {
     "radius": [*_QUICK, "--scene", "diffuse", "--seeds", "1"],
     "photons": [*_QUICK, "--scene", "diffuse", "--seeds", "1"],
     "radii": [*_TINY, "--scene", "diffuse", "--rounds", "1", "--warm-up", "1"],
+    "parts": [*_TINY, "--scene", "diffuse", "--passes", "3"],
+    "combined": [*_TINY, "--scene", "diffuse", "--passes", "2", "--seeds", "2", "--reference-time", "0.4"],
 }
 PLOTS = {"correctness", "convergence", "radius", "photons"}
 

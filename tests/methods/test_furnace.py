@@ -26,6 +26,7 @@ UNBIASED = {
     "bpt power": ("bpt", {"heuristic": "power"}),
     "bpt path power": ("bpt", {"light_source": "path", "heuristic": "power"}),
     "bpt counts": ("bpt", {"connections": 3, "next_events": 2}),
+    "bpt roulette by albedo": ("bpt", {"roulette": "albedo", "rr_depth": 1}),
     "bpt few light paths": ("bpt", {"light_paths": 0.3, "next_events": 0}),
 }
 #: Merging: the disc must be small against the sphere's curvature.
@@ -157,3 +158,13 @@ def test_a_wrong_picture_is_told_apart():
     corner[:, :2, :2] = 1.2
     with pytest.raises(AssertionError, match="z of the sum"):
         assert_agree(images * corner, RADIANCE / (1 - ALBEDO), block=1)
+
+
+def test_roulette_by_albedo_makes_paths_as_long_as_those_of_light():
+    """1 / (1 - a) vertices in the mean; the number has the variance a / (1 - a)^2."""
+    albedo, paths = 0.75, 64 * 1024
+    settings = {"roulette": "albedo", "rr_depth": 1, "light_paths": 1.0}
+    result = run(furnace("sphere", 0.5, albedo), "bpt", passes=1, samples=1024, **settings)
+    error = albedo**0.5 / (1.0 - albedo) / paths**0.5
+    mean = result.measurement.counters["light_vertices"] / paths
+    assert mean == pytest.approx(1.0 / (1.0 - albedo), abs=4.5 * error)

@@ -157,6 +157,7 @@ class Walker:
     max_edges: mi.UInt32  #: opaque
     rr_depth: int
     survival: float = 1.0  #: factor on the probability by which a path survives roulette
+    by_albedo: bool = False  #: roulette by the reflectance of each vertex, not by the throughput of the path
     proposal: Proposal = scatter_camera  #: samples directions
     departures: Departures | None = None  #: learned directions of emission, for its densities
     first: FirstHits | None = None  #: records the surfaces that the first edges hit
@@ -266,8 +267,11 @@ class Walker:
         s.travelled = self.keep_if_null(scattered, vertex.distance, mi.Float(0.0))
         s.ray = vertex.ray(scattered.direction)
         by, eta = roulette_by or (s.throughput, s.eta)
+        survival = self.survival
+        if self.by_albedo:
+            by, eta, survival = scattered.weight, scattered.eta if s.eta is not None else mi.Float(1.0), 1.0
         u = source.decide(vertex.number, dim.ROULETTE)
-        alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u, self.survival)
+        alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u, survival)
         s.throughput = s.throughput * factor
         s.depth = vertex.number + 1
         if s.seen is not None:

@@ -346,6 +346,7 @@ class Bidirectional(Carrying, ImageMethod):
         """Fields of both walks."""
         mis, dark = self._mis(run.radius, run.light.count, run.moments), dr.opaque(mi.Float, self._dark)
         common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
+        common["by_albedo"] = self.settings.roulette == "albedo"
         choosing = self._choosing if self.techniques.connection else None
         common |= {"places": self._discs.places, "choice": choosing.guide if choosing else None}
         return common | (self._learning.fields(self._trains(run), run.light.first) if self._learning else {})

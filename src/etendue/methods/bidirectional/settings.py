@@ -25,6 +25,12 @@ class BidirectionalSettings(CameraSettings):
     """Settings of ``bpt``, ``bpm`` and ``vcm``."""
 
     rr_depth: int = setting(2, "path length, in edges, from which on Russian roulette may end a path", minimum=1)
+    roulette: str = setting(
+        "throughput",
+        "Russian roulette by the light that a path still carries (throughput), or by the reflectance of the surface "
+        "(albedo): paths as long as light's own",
+        choices=("throughput", "albedo"),
+    )
     connecting: bool = setting(True, _CONNECTING)
     merging: bool = setting(True, _MERGING)
     connections: int = setting(1, _CONNECTIONS, minimum=0, maximum=dimensions.CONNECT_MAX)
