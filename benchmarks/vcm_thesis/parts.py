@@ -91,10 +91,11 @@ def combined(
             shown = f" ({', '.join(f'{weight:.2f}' for weight in mean)})" if mean.ndim == 1 else ""
             record.add(label + shown, f"{np.mean(values) ** 0.5:.4f}", f"{(np.mean(values) / best) ** 0.5:.3f}")
         record.notes += [
-            f"root of the mean of {seeds} seeds, weights of the radii in brackets; vcm with the settings of the thesis; "
-            "one run makes all pictures, so their noise is correlated. Extrapolated: bias in proportion to r² removed from the smaller two. Best: "
-            "weights of least squares against the reference itself, which nobody has: a bound on what any choice of "
-            f"weights can gain, for the picture and for each tile of {_TILE}x{_TILE} pixels",
+            f"root of the mean of {seeds} seeds, weights of the radii in brackets; vcm with the thesis's settings. "
+            "One run makes all pictures, so their noise is correlated",
+            "extrapolated: bias in proportion to r² removed from the smaller two. Best: weights of least squares "
+            "against the reference itself, which nobody has: a bound on what any choice of weights can gain, for the "
+            f"picture and for each tile of {_TILE}x{_TILE} pixels",
             f"reference: {truth.note}",
         ]
         yield record

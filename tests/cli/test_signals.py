@@ -67,6 +67,29 @@ def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(number, folder)
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
 
 
+def test_a_signal_saves_now_and_the_run_goes_on(folder):
+    process = start(*RENDER, "--spp", "500", "--save-every", "0")
+    wait_for_pass(process)
+    assert not Path("a.exr").exists()
+    process.send_signal(signal.SIGUSR1)
+    while not Path("a.exr").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    early = film.read_exr("a.exr").metadata
+    assert early["stopped_by"] == "running" and 0 < early["passes"] < 500
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGTERM and film.read_exr("a.exr").metadata["passes"] > early["passes"]
+
+
+def test_low_priority(folder):
+    process = start(*RENDER, "--low-priority")
+    wait_for_pass(process)
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) == min(19, os.getpriority(os.PRIO_PROCESS, 0) + 10)
+    process.kill()
+    process.communicate()
+
+
 @pytest.mark.parametrize("numbers", ["TERM TERM", "INT INT", "TERM INT", "INT TERM TERM INT"])
 def test_signals_within_a_second_are_one_request(numbers):
     """As of ``timeout``, which sends its signal to its child, then to the group of the child."""

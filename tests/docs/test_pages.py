@@ -157,7 +157,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     """All is read and checked; nothing is rendered."""
     begun = []
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
+    monkeypatch.setattr(rendering, "choose_device", lambda *arguments: None)
     monkeypatch.setattr(options.Device, "opened", lambda device: nullcontext())
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)

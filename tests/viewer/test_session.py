@@ -19,6 +19,7 @@ from etendue import film
 from etendue.cli.experiments.run_file import RunFile
 from etendue.cli.main import main
 from etendue.core import Result
+from etendue.engine import Budget
 from etendue.scene import load
 from etendue.viewer.opening import Viewer
 
@@ -361,8 +362,16 @@ def test_the_run_file_and_the_scene_repeat_the_picture(viewer, folder):
         await finished(page)
         page.send("save", what="run", name="plain.toml")
         await told(page, "saved")
+        page.send("save", what="run", name="timed.toml", times="2, 5.5")
+        await told(page, "saved")
+        page.send("save", what="run", name="timed.toml", times="5, 2")
+        assert "times of saves must be above 0 seconds and grow" in (await told(page))["text"]
+        page.send("save", what="run", name="timed.toml", times="soon")
+        assert "as 20, 60, not 'soon'" in (await told(page))["text"]
 
     talk(viewer, conversation)
+    timed = RunFile.read(folder / "timed.toml")
+    assert timed.save_at == (2.0, 5.5) and timed.budget == Budget(seconds=5.5)
     lit, plain = RunFile.read(folder / "lit.toml"), RunFile.read(folder / "plain.toml")
     assert lit.scene == folder / "lit-scene.xml" and str(plain.scene) == "cornell-box"
     assert (plain.method, plain.size, plain.budget.samples) == ("path", SIZE, 4)

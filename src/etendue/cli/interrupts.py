@@ -6,7 +6,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Self
 
@@ -73,6 +74,20 @@ class Interrupts:
     def exit_code(self) -> int:
         """0, or the exit status of a process ended by a signal."""
         return 0 if self.received is None else 128 + self.received
+
+
+@contextmanager
+def saving_on_signal(save: Callable[[], object]) -> Iterator[None]:
+    """A block in which SIGUSR1, where there is one, calls ``save``; in the main thread only."""
+    number = getattr(signal, "SIGUSR1", None)
+    if number is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = signal.signal(number, lambda *_: save())
+    try:
+        yield
+    finally:
+        signal.signal(number, former)
 
 
 class _Left(KeyboardInterrupt):

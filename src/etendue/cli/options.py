@@ -234,6 +234,7 @@ MaxDepth = Annotated[
     int | None,
     typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
+LowPriority = Annotated[bool, typer.Option("--low-priority", help="Let other processes of the machine come first.")]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
 Tev = Annotated[
     str | None,

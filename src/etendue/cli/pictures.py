@@ -39,6 +39,7 @@ def render(
     param: opt.Param = None,
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
+    low_priority: opt.LowPriority = False,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
     components: opt.Components = False,
@@ -78,7 +79,7 @@ def render(
         define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components, for_denoising
     )
     parameters = opt.parse_pairs(param, "-P")
-    choose_device(variant, threads)
+    choose_device(variant, threads, low_priority)
     notes: list[str] = []  # shown after all checks
     found = locate(scene, notes.append)
     chosen = choose_method(method, found, parameters, notes.append)
@@ -117,7 +118,7 @@ def run(
     from .rendering import choose_device, render_to_files
 
     wanted = RunFile.read(file)
-    choose_device(wanted.variant, wanted.threads)
+    choose_device(wanted.variant, wanted.threads, wanted.low_priority)
     notes: list[str] = []  # shown after all checks
     task = wanted.task(notes.append)
     console = error_console()

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from etendue.api import Callback, start_job
-from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
+from etendue.core import OptionError, OutputError, format_rate, format_seconds, lower_priority, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.jobs import Rendering, Writer
 from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say
-from .interrupts import Interrupts
+from .interrupts import Interrupts, saving_on_signal
 
 if TYPE_CHECKING:
     from etendue.distributed import Cluster
@@ -36,8 +36,10 @@ class Outcome(Generic[T]):
     exit_code: int
 
 
-def choose_device(variant: str | None, threads: int | None) -> None:
-    """Set the Mitsuba variant and the number of threads."""
+def choose_device(variant: str | None, threads: int | None, low_priority: bool = False) -> None:
+    """Set the Mitsuba variant, the number of threads, and whether other processes come first."""
+    if low_priority:
+        lower_priority()  # before there are threads, which have the priority of their creator
     set_threads(threads)
     use_variant(variant)
 
@@ -71,7 +73,11 @@ def follow(open_session: Callable[[], Session[T]], console: Console, label: str)
             finally:  # the thread of the session is inside compiled code, and cannot be ended otherwise
                 os._exit(interrupts.exit_code)
 
-        with Interrupts(stop, abort) as interrupts:
+        def save() -> None:
+            for session in sessions:
+                session.request_save()
+
+        with Interrupts(stop, abort) as interrupts, saving_on_signal(save):
             session = open_session()
             sessions.append(session)
             if interrupts.received is not None:  # before there was a session

@@ -1,6 +1,15 @@
 """Shared basics, independent of rendering: settings, measurements, methods, random numbers, errors, backend."""
 
-from .backend import check_llvm, check_variant, choose_variant, copied_to_device, on_device, set_threads, use_variant
+from .backend import (
+    check_llvm,
+    check_variant,
+    choose_variant,
+    copied_to_device,
+    lower_priority,
+    on_device,
+    set_threads,
+    use_variant,
+)
 from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
@@ -84,6 +93,7 @@ __all__ = [
     "keyed_bits",
     "library",
     "logger",
+    "lower_priority",
     "on_device",
     "on_host",
     "prepared",

@@ -200,11 +200,12 @@ def ends_by(ended: Any) -> None:
 
 
 def introduce(is_local: bool = False) -> dict[str, Any]:
-    """Process id and Python's version of this process. ``is_local``: ignore Ctrl-C and SIGTERM, which a terminal and
-    ``timeout`` send to all processes of a group; the client ends the workers."""
+    """Process id and Python's version of this process. ``is_local``: ignore Ctrl-C, SIGTERM and SIGUSR1, which a
+    terminal, ``timeout`` and ``pkill`` send to all processes of a group or name; the client ends the workers."""
     if is_local and threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        for name in ("SIGINT", "SIGTERM", "SIGUSR1"):
+            if (number := getattr(signal, name, None)) is not None:
+                signal.signal(number, signal.SIG_IGN)
     return {"pid": os.getpid(), "python": "{}.{}".format(*sys.version_info[:2])}
 
 

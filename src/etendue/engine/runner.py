@@ -141,6 +141,10 @@ class Runner:
         with self._lock:
             return self.method.develop(self._measurement, self._state) if self._measurement is not None else None
 
+    def request_save(self) -> None:
+        """Save after the current pass, as at a time of ``save_at``."""
+        self._saving.request()
+
     def interrupted(self) -> RunResult | None:
         """The result after :meth:`run` was left by Ctrl-C.
 

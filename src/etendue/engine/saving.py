@@ -42,8 +42,13 @@ class Saving:
         self._every = math.inf if every is None else every
         self._ahead = deque(at)
         self._failed: tuple[float, ...] = ()  # times whose save failed
+        self._requested = False
         self._clock = clock
         self._last = clock()
+
+    def request(self) -> None:
+        """Save after the next pass."""
+        self._requested = True
 
     def begin(self) -> None:
         """The run begins now."""
@@ -65,8 +70,10 @@ class Saving:
         A failed save is logged and the run continues, and the next save gets its times as well; a failed save that
         ``must_save`` demands raises.
         """
-        if not (self._reaches(elapsed) or must_save) and self._clock() - self._last < self._every:
+        is_due = self._requested or self._reaches(elapsed) or self._clock() - self._last >= self._every
+        if not (is_due or must_save):
             return
+        self._requested = False
         times = self.passed(elapsed)
         begin = self._clock()
         try:

@@ -137,6 +137,11 @@ class Session(InNotebooks, Generic[T]):
         """Stop the run after the current pass, without waiting for it."""
         self._stop.set()
 
+    def request_save(self) -> None:
+        """Save after the current pass; nothing before the first pass has begun."""
+        if self._runner is not None:
+            self._runner.request_save()
+
     def cancel(self) -> None:
         """Stop the run after the current pass and wait for it. :attr:`result` then has the passes so far. From a
         callback, which the run waits for, as :meth:`request_stop`."""

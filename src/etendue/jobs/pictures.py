@@ -139,7 +139,7 @@ class Outputs:
 
     def saving(self, job: Job) -> dict[str, Any]:
         """Options of the :class:`Runner` of ``job`` for intermediate saves."""
-        if self.save_every is None or not self.files:
+        if not self.files:
             return {}
         return {"on_save": lambda run: self.write(job, run), "save_every": self.save_every}
 

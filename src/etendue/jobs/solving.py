@@ -159,7 +159,7 @@ class RequestedWork(ABC, Generic[Q, R]):
 
     def _with_saves(self, options: dict[str, Any]) -> dict[str, Any]:
         """Options of the runner, and those of intermediate checkpoints."""
-        if (path := self.request.checkpoint) is not None and self.request.save_every is not None:
+        if (path := self.request.checkpoint) is not None:
             options |= {"on_save": lambda run: self._save(run, path), "save_every": self.request.save_every}
         return options
 

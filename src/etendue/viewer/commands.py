@@ -205,7 +205,7 @@ def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
 
 
 def _save(session: Session, client: Client, message: Mapping[str, Any]) -> None:
-    path = saving.save(session, text(message, "what"), text(message, "name", ""))
+    path = saving.save(session, text(message, "what"), text(message, "name", ""), text(message, "times", ""))
     session.saved[path.name] = path
     client.send("saved", path=str(path), file=path.name)
 

@@ -21,7 +21,8 @@ Page to session:
 ``compare``         ``method`` with ``settings``, or ``reference`` (a picture file on the machine of the session), or
                     neither to stop; ``map``: whether to show the error map instead of the second picture
 ``open``            ``scene``: a scene file, the name of a bundled scene, or a picture file
-``save``            ``what``: picture, scene or run; ``name``: of the file; answered by ``saved``
+``save``            ``what``: picture, scene or run; ``name``: of the file; ``times``: autosaves of a run, as "20, 60";
+                    answered by ``saved``
 ``quit``            end the session
 ``PANEL.verb``      for the panel of that name, see :class:`etendue.viewer.panels.Panel`
 ==================  ====================================================================================================

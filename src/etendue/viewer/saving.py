@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from etendue.core import OptionError
 from etendue.display import tonemap, write_png
+from etendue.engine import check_save_times
 from etendue.film import write_bytes
 from etendue.jobs import check_picture, save_result
 from etendue.scene import MOVABLE, BundledScene, graph, is_sensor, locate, scene_xml
@@ -27,9 +28,11 @@ if TYPE_CHECKING:
 KINDS = {"picture": (".exr", ".png"), "scene": (".xml",), "run": (".toml",)}
 
 
-def save(session: Session, what: str, name: str) -> Path:
-    """Write a file and return its path. Raises :class:`OptionError` unless the name is that of a plain file with the
-    right ending, :class:`OutputError` if the file cannot be written, :class:`SceneError` for a scene in memory."""
+def save(session: Session, what: str, name: str, times: str = "") -> Path:
+    """Write a file and return its path. ``times``: seconds of the autosaves of a run file, as "20, 60".
+
+    Raises :class:`OptionError` for such text and unless the name is that of a plain file with the right ending,
+    :class:`OutputError` if the file cannot be written, :class:`SceneError` for a scene in memory."""
     if what not in KINDS:
         raise OptionError(f"what can be saved is {', '.join(KINDS)}, not '{what}'")
     endings = KINDS[what]
@@ -44,8 +47,20 @@ def save(session: Session, what: str, name: str) -> Path:
         raise OptionError("no scene is loaded; open one first")
     path = session.asked.folder / name
     _spare_scene(session, path)
-    {"picture": _save_picture, "scene": _save_scene, "run": _save_run}[what](session, path)
+    if what == "run":
+        _save_run(session, path, _times(times))
+    else:
+        {"picture": _save_picture, "scene": _save_scene}[what](session, path)
     return path
+
+
+def _times(text: str) -> list[float]:
+    try:
+        times = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        raise OptionError(f"the times of autosaves are seconds, as 20, 60, not '{text}'") from None
+    check_save_times(times)
+    return times
 
 
 def _spare_scene(session: Session, path: Path) -> None:
@@ -107,8 +122,9 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
         props["fov"], props["fov_axis"] = float(pose.fov), "x"
 
 
-def _save_run(session: Session, path: Path) -> None:
-    """A run file. The scene is written beside it unless the scene's file and a camera table describe it completely."""
+def _save_run(session: Session, path: Path, times: Sequence[float]) -> None:
+    """A run file, which ends with the last of ``times`` if there are any. The scene is written beside it unless the
+    scene's file and a camera table describe it completely."""
     assert session.problem is not None and session.pose is not None
     asked, moved = session.asked, session.pose is not session.home
     own, camera = _source(asked.scene), _run_camera(session)
@@ -120,12 +136,14 @@ def _save_run(session: Session, path: Path) -> None:
         tables: dict[str, Any] = {"scene": {"file": scene.name}}
     else:
         tables = {"scene": {**own, "parameters": asked.parameters}, "camera": camera if moved else {}}
+    if times:
+        tables["autosave"] = {"times": times, "exit_after_last": True}
     write_bytes(path, run_text(session, tables, f"{path.stem}-run").encode())
 
 
 def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: str) -> str:
-    """The text of a run file that repeats the session's picture, in files called ``name``. ``tables``: the
-    tables of the scene and its camera."""
+    """The text of a run file that repeats the session's picture, in files called ``name``. ``tables``: those of the
+    scene, its camera, and autosaves in place of the session's budget."""
     assert session.problem is not None
     asked, problem = session.asked, session.problem
     budget = asked.budget.to_dict() or {"samples": _samples(session)}
@@ -133,7 +151,7 @@ def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: st
         "scene": {**tables["scene"], "sensor": asked.sensor, "size": list(_film(problem))},
         "camera": tables.get("camera", {}),
         "method": {"name": asked.method, "settings": asked.settings},
-        "budget": budget,
+        **({"autosave": tables["autosave"]} if "autosave" in tables else {"budget": budget}),
         "output": {"name": name, "png": True},
     }
     lines = [f"seed = {asked.seed}"] + ([f"memory = {asked.memory}"] if asked.memory else [])

@@ -53,7 +53,7 @@ _OPEN = _Kind(
 
 #: Keys of the tables; the keys of "" are at the head of the file.
 TABLES: Mapping[str, Mapping[str, _Kind]] = {
-    "": {"seed": _INDEX, "variant": _TEXT, "threads": _COUNT, "memory": _MEMORY},
+    "": {"seed": _INDEX, "variant": _TEXT, "threads": _COUNT, "low_priority": _SWITCH, "memory": _MEMORY},
     "scene": {"file": _TEXT, "bundled": _TEXT, "sensor": _INDEX, "size": _SIZE, "parameters": _OPEN},
     "camera": {"origin": _POINT, "target": _POINT, "up": _POINT, "fov": _NUMBER},
     "method": {"name": _TEXT, "settings": _OPEN},
@@ -87,6 +87,7 @@ class RunFile:
     seed: int
     variant: str | None
     threads: int | None
+    low_priority: bool
     memory: int | None
     save_at: tuple[float, ...]  #: autosaves: seconds since the scene was loaded
     save_every: float | None
@@ -136,6 +137,7 @@ class RunFile:
             seed=head.get("seed", 0),
             variant=head.get("variant"),
             threads=head.get("threads"),
+            low_priority=head.get("low_priority", False),
             memory=memory,
             save_at=save_at,
             save_every=save_every,

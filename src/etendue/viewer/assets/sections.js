@@ -187,11 +187,12 @@ function files(parent, connection, section) {
   const row = (label, what, name) => {
     const field = entry(label, name, () => {});
     return make('div', { class: 'row' }, field.element, make('button', { type: 'button',
-      click: () => connection.send('save', { what, name: field.input.value }) }, 'Save'));
+      click: () => connection.send('save', { what, name: field.input.value, ...(what === 'run' && { times: times.input.value }) }) }, 'Save'));
   };
+  const times = entry('It saves pictures at these seconds, and ends with the last: 20, 60', '', () => {});
   const folder = make('p', { class: 'soft' });
   content.append(row('Picture: .exr with all layers, .png as shown', 'picture', 'view.png'), row('Scene with this camera: .xml', 'scene', 'view.xml'),
-    row('Run file, which etendue run repeats: .toml', 'run', 'view.toml'), folder,
+    row('Run file, which etendue run repeats: .toml', 'run', 'view.toml'), times.element, folder,
     make('div', {}, make('button', { type: 'button', click: () => { if (confirm('End the session for all pages?')) connection.send('quit'); } }, 'End the session')));
   return (state) => { folder.textContent = `Files are written to ${state.folder}.`; };
 }
