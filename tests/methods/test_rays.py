@@ -165,10 +165,10 @@ def test_guided_directions_are_told(box: Problem) -> None:
     state, _ = passes(method)
     events = through(method, state, 200).event
     guided = (events == Event.GUIDED).sum()
-    # The guide is trained where paths have been, and sampled with the probability `share` at diffuse surfaces.
+    # The guide is trained where paths have been, and sampled with at most the probability `share` at diffuse surfaces.
     scattered = guided + (events == Event.SCATTERED).sum()
     share = method.settings.share
-    assert guided > 50 and guided / scattered < share + 4 * np.sqrt(share * (1 - share) / scattered)
+    assert guided > 10 and guided / scattered < share + 4 * np.sqrt(share * (1 - share) / scattered)
 
 
 def test_events_are_those_of_the_surfaces(glass: Problem) -> None:
