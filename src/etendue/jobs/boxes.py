@@ -60,6 +60,9 @@ class HierarchyRequest(RadiosityRequest):
     def settings(self) -> HierarchicalMultipathSettings:
         """Settings of the method. Raises :class:`OptionError` for unknown names, and for values out of range."""
         given = dict(self.hierarchy) if self.shot else {"shot": 0} | dict(self.hierarchy)
+        for name, value in self.line_settings.items():
+            if given.setdefault(name, value) != value:
+                raise OptionError(f"two {name} of hierarchical multipath, '{given[name]}' and '{value}': give one")
         return HierarchicalMultipathSettings.from_mapping(given, owner="hierarchical multipath")
 
     @property

@@ -78,10 +78,20 @@ from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
 from .lines.engine import LineEngine
-from .lines.generators import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
+from .lines.generators import (
+    GENERATORS,
+    SINGLE_LINES,
+    BoxWalls,
+    Bundles,
+    GreatCircle,
+    LineGenerator,
+    Lines,
+    SpherePairs,
+)
 from .lines.local import LocalRays
 from .lines.mixing import MixedSegments, with_local_rays
 from .lines.segments import Segments
+from .lines.sequences import LINE_POINTS
 from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
 from .solvers.absorption import check_absorption
@@ -98,8 +108,10 @@ __all__ = [
     "FORM_FACTOR_FILES",
     "GENERATORS",
     "LIGHTMAP_MESHES",
+    "LINE_POINTS",
     "MAIN_SHARE",
     "REPLICATES",
+    "SINGLE_LINES",
     "SOLUTION_FILES",
     "SOLVERS",
     "STEFAN_BOLTZMANN",
