@@ -24,7 +24,7 @@ from etendue.surfaces import SurfaceMap
 from ..emission import DirectSample
 from ..guiding.lights import LocalLights
 from ..guiding.walk import GuidedWalk
-from ..scattering import Scattered
+from ..scattering import Evaluated, Scattered
 from ..vertex import WalkVertex
 from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
 
@@ -92,6 +92,35 @@ class EndingWalker(Walker):
         factor = super().advance(s, vertex, scattered, source, roulette_by)
         s.active &= ~here
         return factor
+
+
+@dataclass(kw_only=True)
+class EndingInIndirect(EndingWalker):
+    """Paths end in a map without direct light: light points are sampled at their ends, too, and count fully there,
+    since no path goes on to hit a light."""
+
+    def light_point(
+        self,
+        vertex: WalkVertex,
+        source: SampleSource,
+        active: mi.Bool,
+        index: int = 0,
+        lights: LightTable | LocalLights | None = None,
+    ) -> DirectSample:
+        """See :class:`Walker`."""
+        return Walker.light_point(self, vertex, source, active, index, lights)
+
+    def next_event(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        light: DirectSample,
+        f: Evaluated,
+        weight: mi.Float,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Color3f, mi.Bool]:
+        """See :class:`Walker`."""
+        return super().next_event(s, vertex, light, f, dr.select(self.ends(vertex), 1.0, weight), active)
 
 
 @dataclass(kw_only=True)
