@@ -14,6 +14,7 @@ from collections.abc import Callable
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, OptionError, copied_to_device
 from etendue.density import HashGrid
@@ -58,7 +59,7 @@ class IrradianceCache:
             raise OptionError(f"a hemisphere has 2 rings and 2 sectors at least, not {strata}")
         self.accuracy, self.reach, self.strata, self.gradients = accuracy, reach, strata, gradients
         self.records: Array = np.empty((0, _WIDTH))
-        self._levels: tuple[int, list[_Level]] = 0, []
+        self._levels: tuple[Array, list[_Level]] = self.records, []
 
     def __len__(self) -> int:
         return len(self.records)
@@ -115,19 +116,22 @@ class IrradianceCache:
         used."""
         if not len(self) or not len(position):
             return np.zeros((len(position), 3)), np.zeros(len(position))
-        if self._levels[0] != len(self):
+        if self._levels[0] is not self.records:
             # Single precision near the records, which may be few and far from the origin.
             self._centre = self.records[:, :3].mean(axis=0)
             octave = np.floor(np.log2(self.records[:, -1]))
-            self._levels = len(self), [_Level(self.records[octave == k], self._centre) for k in np.unique(octave)]
-        p, n = (mi.Vector3f(*(_column(x[:, axis]) for axis in range(3))) for x in (position - self._centre, normal))
-        total, weight = dr.zeros(mi.Vector3f, len(position)), dr.zeros(mi.Float, len(position))
+            self._levels = self.records, [_Level(self.records[octave == k], self._centre) for k in np.unique(octave)]
+        lanes = _two(len(position))
+        p, n = (mi.Vector3f(*(_column(x[lanes, axis]) for axis in range(3))) for x in (position - self._centre, normal))
+        total, weight = dr.zeros(mi.Vector3f, len(lanes)), dr.zeros(mi.Float, len(lanes))
         for level in self._levels[1]:
             total, weight = level.add_to(total, weight, p, n, self.accuracy, self.gradients)
             dr.eval(total, weight)  # so that all levels share a kernel
         values = total / dr.maximum(weight, 1e-20)
         dr.eval(values, weight)
-        return np.array(values, dtype=np.float64).T, np.array(weight, dtype=np.float64)
+        # By columns: together they would be copied by a kernel for each number of points.
+        columns = [np.array(v, dtype=np.float64)[: len(position)] for v in (*values, weight)]
+        return np.stack(columns[:3], axis=1), columns[3]
 
 
 class _Level:
@@ -137,10 +141,12 @@ class _Level:
         rows = records.astype(np.float64)
         rows[:, :3] -= centre
         self._radius = float(rows[:, -1].max()) * (1 + 1e-6)
-        points = mi.Point3f(*(_column(rows[:, axis]) for axis in range(3)))
-        self._grid = HashGrid(points, self._radius, rows[:, :3].min(axis=0), rows[:, :3].max(axis=0))
+        lanes = _two(len(rows))
+        points = mi.Point3f(*(_column(rows[lanes, axis]) for axis in range(3)))
+        there = copied_to_device(mi.UInt32, (np.arange(len(lanes)) < len(rows)).astype(np.uint32)) != 0
+        self._grid = HashGrid(points, self._radius, rows[:, :3].min(axis=0), rows[:, :3].max(axis=0), there)
         order = np.empty(len(rows), np.int64)
-        order[np.array(self._grid.destination)] = np.arange(len(rows))
+        order[np.array(self._grid.destination)[: len(rows)]] = np.arange(len(rows))
         self._table = _column(rows[order])
 
     def add_to(
@@ -281,6 +287,11 @@ def _tangents(normal: Array) -> tuple[Array, Array]:
     tangent = np.cross(helper, normal)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return tangent, np.cross(normal, tangent)
+
+
+def _two(count: int) -> NDArray[np.int64]:
+    """Indices of rows, of a single one twice: a kernel for one lane would be another one."""
+    return np.arange(max(count, 2)) % count
 
 
 def _column(values: Array) -> mi.Float:
