@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.radiosity.plain_caster import PlainCaster
 from support.patches import room, square
 
 from etendue.core import CheckpointError
@@ -30,7 +31,6 @@ from etendue.radiosity.hierarchical_multipath.firstshot import FirstShots
 from etendue.radiosity.hierarchical_multipath.grouping import _Item, _merged, _Pairs
 from etendue.radiosity.hierarchical_multipath.lists import PartRays, preprocess
 from etendue.radiosity.hierarchical_multipath.parts import Tree, box_area
-from etendue.radiosity.hierarchical_multipath.reference import PlainCaster
 from etendue.radiosity.hierarchical_multipath.regions import Regions
 from etendue.radiosity.lines.generators import box_lines
 

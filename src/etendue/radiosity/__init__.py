@@ -4,9 +4,6 @@ Names of :mod:`etendue.surfaces` (patches, meshes, maps) and :mod:`etendue.forma
 exported here, too.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 from etendue.formats import FormatError, GltfMesh, write_gltf
 from etendue.surfaces import (
     AMBIENT_TERMS,
@@ -240,12 +237,3 @@ __all__ = [
     "with_local_rays",
     "write_gltf",
 ]
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name):
-        """Names that have moved to :mod:`etendue.jobs`. This package may not import that module, which is above it, so
-        they are looked up on access."""
-        if name in ("PICTURE_FILES", "picture"):
-            return getattr(import_module("etendue.jobs"), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
