@@ -22,6 +22,7 @@ from .radiosity_options import (
     Bounces,
     BoxRegions,
     BoxSettings,
+    BundleLines,
     Bundles,
     CheckpointFile,
     Divide,
@@ -65,6 +66,7 @@ def form_factors(
     ],
     output: out.FactorFiles = None,
     bundles: Bundles = None,
+    lines: BundleLines = None,
     time: opt.Time = None,
     error: Error = None,
     estimator: Annotated[
@@ -104,8 +106,10 @@ def form_factors(
     from etendue.jobs import FormFactorRequest, FormFactorWork
 
     device = opt.Device(variant, threads, cluster, workers)
-    if exact and (bundles, time, error, checkpoint, hierarchy) != (None, None, None, None, None):
-        raise OptionError("--exact casts no lines: leave out --bundles, --time, --error, --checkpoint and --hierarchy")
+    if exact and (bundles, lines, time, error, checkpoint, hierarchy) != (None,) * 6:
+        raise OptionError(
+            "--exact casts no lines: leave out --bundles, --lines, --time, --error, --checkpoint and --hierarchy"
+        )
     request = FormFactorRequest(
         source=mesh,
         estimator=estimator,
@@ -117,6 +121,7 @@ def form_factors(
         outputs=tuple(output or [Path("factors.npz")]),
         seconds=time,
         bundles=bundles,
+        lines=lines or 0.0,
         error=error,
         seed=seed or 0,
         max_area=max_area,
@@ -139,6 +144,7 @@ def radiosity(
     ],
     output: out.SolutionFiles = None,
     bundles: Bundles = None,
+    lines: BundleLines = None,
     time: opt.Time = None,
     error: Error = None,
     max_area: MaxArea = None,
@@ -238,6 +244,7 @@ def radiosity(
         ),
         seconds=time,
         bundles=bundles,
+        lines=lines or 0.0,
         points=points,
         error=error,
         seed=seed or 0,

@@ -20,6 +20,16 @@ Bundles = Annotated[
         metavar="N",
     ),
 ]
+BundleLines = Annotated[
+    float | None,
+    typer.Option(
+        "--lines",
+        help="Lines of a bundle through the sphere around the scene; if not given, some four for each patch. Of "
+        "form-factors --hierarchy: in all spheres together.",
+        min=1,
+        metavar="N",
+    ),
+]
 Error = Annotated[
     float | None,
     typer.Option(

@@ -91,7 +91,7 @@ class HierarchyRequest(RadiosityRequest):
                     f"{option(name)} is not for hierarchical multipath, which solves by itself: leave it out"
                 )
         if self.lines:
-            raise OptionError("lines= is for bundles: give lines of a pass as hierarchy={'lines': ...}")
+            raise OptionError(f"{option('lines')} is for bundles: give the lines of a pass as a setting, lines=N")
         if not self.local_rays:
             raise OptionError(f"hierarchical multipath casts no local rays: leave out {option('local_rays')}")
         super()._check_outputs()

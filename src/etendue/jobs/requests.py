@@ -280,6 +280,7 @@ class RadiosityRequest(LinesRequest):
             name: getattr(self, name) for name in ("seconds", "bundles", "points", "error", "checkpoint")
         }
         asked |= {name: None if getattr(self, name) else False for name in ("shot", "local_rays")}
+        asked["lines"] = self.lines or None
         asked["solver"] = None if self.solver == "conjugate-gradient" else self.solver
         for name in (name for name, value in asked.items() if value is not None):
             raise OptionError(
