@@ -235,7 +235,10 @@ def test_a_stopped_run_keeps_its_work_and_resumes_to_the_same(monkeypatch, capsy
         (f"{ROOM} --no-local-rays", "multipath casts no local rays: leave out --no-local-rays"),
         (f"{ROOM} --lines 100", "multipath casts single lines: leave out --lines, the lines of a bundle"),
         (f"{ROOM} --point-set hallton", "there is no point set 'hallton'; did you mean 'halton'"),
-        (f"{ROOM} --hierarchy --generator bundles", "there is no generator 'bundles'; there are: sphere-pairs"),
+        (
+            "radiosity room.vtu --emission glow --hierarchy --generator bundles",
+            "there is no generator 'bundles'; there are: sphere-pairs",
+        ),
         ("radiosity room.vtu --emission glow --generator box-walls", "--generator is for multipath: give --solver"),
         ("radiosity room.vtu --emission glow --hierarchy --lines 9", "give the lines of a pass as a setting, lines=N"),
         (
