@@ -46,6 +46,7 @@ COST_SETTINGS: dict[str, dict[str, Any]] = {
     "pssmlt": _PASS,
     "mmlt": _PASS,
     "film_metropolis": _PASS,
+    "irradiance_cache": _PASS,
     "ambient_path": _PASS,
     "ambient_light": _PASS | {"light_paths": 1.0},
 }

@@ -12,10 +12,11 @@ import typer
 
 from etendue.distributed import Cluster, ProcessPool
 from etendue.jobs import ParticleRequest, ParticleWork, run_work
-from etendue.particles import BoxGrid, Particles, distinct_in_windows, lru_misses, visits
+from etendue.particles import BoxGrid, Particles
 from etendue.scene import load, shape_boxes, unmerged
 
 from ..measuring import Record
+from .coherence import distinct_in_windows, lru_misses, visits
 
 _WINDOW, _CACHES = 256, (4, 16, 64)
 
@@ -53,8 +54,8 @@ def coherence(
                 f"{found[1] / base[1]:.2f}",
             )  # fmt: skip
     record.notes.append(
-        "In strata: path v is in stratum v of the mixed-radix code of light, point, direction and first bounce; check "
-        "16 of the specification asks for at most .5 of the random paths' different boxes in a window"
+        "In strata: path v is in stratum v of the mixed-radix code of light, point, direction and first bounce; the "
+        "bar: at most .5 of the random paths' different boxes in a window"
     )
     return record
 

@@ -21,6 +21,8 @@ from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Chunk, Made, Needs, merge_outcomes
 from etendue.engine import Budget, Order, Runner
 
+from .schedules import SCHEDULES
+
 #: Seconds that two looks at the CPU clock take.
 _CLOCK = min(-time.thread_time() + time.thread_time() for _ in range(200))
 
@@ -286,7 +288,9 @@ def simulate(site: Site, passes: int, schedule: str = "demand", seed: int = 0) -
     spreads: list[Spread] = []
 
     def make(order: Order) -> Spread:
-        spreads.append(Spread(pool, Recipe("recipe", offered), order, schedule=schedule, clock=lambda: pool.now))
+        spreads.append(
+            Spread(pool, Recipe("recipe", offered), order, schedule=SCHEDULES[schedule], clock=lambda: pool.now)
+        )
         return spreads[0]
 
     speeds = [1.0 / worker.factor for worker in pool._workers.values()]

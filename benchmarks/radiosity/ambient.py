@@ -35,7 +35,7 @@ from etendue.radiosity import (
     solve,
     sub_scenes,
 )
-from etendue.surfaces import class_light, class_weights, equal_factors
+from etendue.surfaces import class_light, class_weights
 
 from ..measuring import Record, console, interleaved, spread
 from ..options import Out, Rounds, Seeds, Size, scene_names
@@ -274,3 +274,9 @@ def _multipath(record: Record, patches: Patches, segments: Segments, shot: First
         error = squares.std(axis=0, ddof=1) / np.sqrt(seeds) / (2 * mean) if seeds > 1 else np.full(4, np.nan)
         cells = (f"{value:.4f} ± {own:.4f}" for value, own in zip(mean, error, strict=True))
         record.add(label, after, *cells, f"{mean[0] / mean[-1]:.1f}")
+
+
+def equal_factors(areas: Array) -> Array:
+    """Class form factors of the thesis: 1/5 between any two of six classes, whatever their ``areas`` (k,)."""
+    count = len(areas)
+    return np.ones((1, 1)) if count == 1 else (1 - np.eye(count)) / (count - 1)

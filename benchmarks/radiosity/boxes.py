@@ -26,13 +26,13 @@ from etendue.radiosity import (
 )
 from etendue.radiosity.hierarchical_multipath.lists import PartRays
 from etendue.radiosity.hierarchical_multipath.parts import Tree
-from etendue.radiosity.hierarchical_multipath.reference import PlainCaster
 from etendue.radiosity.lines.generators import box_lines
 
 from ..measuring import Record, verdict
 from ..options import Out, Seeds, named, whole_numbers
 from .drivers import DRIVERS, INDEPENDENT
 from .options import OUT
+from .plain_caster import PlainCaster
 from .references import mean_squared_error
 from .scenes import FURNISHED, LEAST
 from .sweeping import half_and_half

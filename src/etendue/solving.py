@@ -119,6 +119,8 @@ def solve_radiosity(
     seed: int = 0,
     lines: float = 0.0,
     shot: bool = True,
+    point_set: str | None = None,
+    generator: str | None = None,
     ambient: str | None = None,
     bounces: int | None = None,
     sub_scenes: str | Mapping[str, Any] | None = None,
@@ -154,6 +156,9 @@ def solve_radiosity(
         irradiance, averaged over the surface and divided by the mean irradiance. Without limits, 1024 bundles.
     points: number of lines of multipath, in place of ``bundles``; 4,194,304 without limits.
     shot: send the light of small emitters by local rays first.
+    point_set, generator: of ``multipath`` and ``hierarchy``: what draws the lines (``sobol``, ``halton``, ``weyl`` or
+        ``independent``), and how a line is made of a point (``sphere-pairs``, ``box-walls`` or ``great-circle``; the
+        first by default, the second with ``hierarchy``).
     ambient: ``classic``, ``crisp`` or ``fuzzy``, see :func:`etendue.radiosity.ambient_solution`: all light by an
         ambient term, without lines. With ``bounces``, a solution by lines: the solver makes this number of iterations,
         and only the light left after them is ambient.
@@ -208,6 +213,8 @@ def start_radiosity(
     seed: int = 0,
     lines: float = 0.0,
     shot: bool = True,
+    point_set: str | None = None,
+    generator: str | None = None,
     ambient: str | None = None,
     bounces: int | None = None,
     sub_scenes: str | Mapping[str, Any] | None = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -238,3 +239,12 @@ def test_form_factors_in_a_hierarchy_are_resumed(capsys):
         assert json.loads(str(arrays["metadata"]))["estimator"] == "F4"
     assert run("form-factors boxes.vtu -o f.npz --walls 4") == 2
     assert "--walls is for lines in a hierarchy: give --hierarchy, too" in capsys.readouterr().err
+
+
+def test_lines_of_a_bundle_are_chosen(capsys):
+    """Their number is that of the segments, which are twice as many for twice the lines, up to one in ten."""
+    found = []
+    for lines in (4000, 8000):
+        assert main(shlex.split(f"radiosity cornell-box --max-area 0.3 --bundles 16 --lines {lines} -o s.npz")) == 0
+        found.append(float(re.search(r"([\d.e+]+) segments", capsys.readouterr().err)[1]))
+    assert found[1] / found[0] == pytest.approx(2.0, rel=0.1)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.cluster.coherence import distinct_in_windows, lru_misses, visits
 from support.workers import InProcess
 
 from etendue.core import OptionError, UnsupportedError
 from etendue.distributed import Cluster, ProcessPool
 from etendue.jobs import ParticleRequest, ParticleWork, run_work
-from etendue.particles import BoxGrid, Particles, distinct_in_windows, lru_misses, visits
+from etendue.particles import BoxGrid, Particles
 from etendue.scene import bundled_scene, load, load_part, shape_boxes, unmerged
 
 PATHS = {"paths": 3000, "settings": {"samples_per_pass": 1500}, "seed": 4}

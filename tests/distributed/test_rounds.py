@@ -178,6 +178,7 @@ def test_boxes_on_workers_give_the_bits_of_one_process(alone, workers, tmp_path)
         ({"shot": 0.0}, {"lamp_inside": True}),
         ({}, {"lamp_inside": True}),
         ({"iterations": 1, "residual": 0.0}, {}),
+        ({"points": "halton", "generator": "sphere-pairs", "lines": 1 << 14}, {}),
     ],
 )
 def test_light_of_boxes_lines_and_shots(settings, scene, tmp_path):

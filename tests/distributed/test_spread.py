@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,17 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.cluster.schedules import SCHEDULES
 from support.workers import Chain, Powers, Simulated, alone, run
 
-from etendue.core import ClusterError, Iterations, OptionError, SceneError
-from etendue.distributed import SCHEDULES, Arrival, Lost, Recipe, Spread
+from etendue.core import ClusterError, Iterations, SceneError
+from etendue.distributed import Arrival, Lost, Recipe, Spread
 from etendue.distributed import crew as crew_module
 from etendue.distributed import spread as spread_module
 from etendue.distributed import worker as worker_module
 from etendue.distributed.content import Offered
-from etendue.distributed.schedules import Static, Stealing
 from etendue.distributed.worker import Failed
-from etendue.engine import Budget, Replicated, RunError, Runner
+from etendue.engine import Budget, Order, Replicated, RunError, Runner
 
 
 @pytest.fixture(autouse=True)
@@ -108,17 +107,19 @@ def test_chunks_are_no_longer_than_the_work_that_is_left_and_shares_add_up():
     assert max(seen[-1].shares.values()) < 60
 
 
-@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("schedule", SCHEDULES.values())
 def test_every_schedule_makes_each_pass_once(schedule):
     for seed in range(5):
         made = run(Simulated(Powers, 3, seed, faults=0.3), Powers(), 90, schedule=schedule)
         assert made.measurement.iterations.to_json() == [[0, 0, 90]]
-    with pytest.raises(OptionError, match="there is no schedule 'statik'"):
-        run(Simulated(Powers, 1), Powers(), 10, schedule="statik")
+
+
+def hundred():
+    return Order(Powers(), 0, {}, most=100)
 
 
 def test_a_worker_with_nothing_left_steals_in_the_ratio_of_what_was_made():
-    work = Stealing(itertools.count(), 100)
+    work = SCHEDULES["stealing"](hundred())
     names = ["fast", "slow"]
 
     def make(name, count):
@@ -132,7 +133,7 @@ def test_a_worker_with_nothing_left_steals_in_the_ratio_of_what_was_made():
     # 41 are left to the slow one, which has made 9 and the fast one 50.
     first, _ = make("fast", 100)
     assert first == 100 - round(41 * 51 / 61)
-    static = Static(itertools.count(), 100)
+    static = SCHEDULES["static"](hundred())
     assert static.take("fast", 100, names)[:2] == (0, 50) and static.take("fast", 1, names) is None
 
 

@@ -306,11 +306,3 @@ def test_a_function_of_one_side_runs_there():
     MeanSample().integrate(Integrand(f, 1, on="either"), 10)
     MeanSample().integrate(Integrand(f, 1, on="device"), 10)
     assert seen == ["numpy", "numpy", "drjit"]
-
-
-def test_the_old_name_of_array_namespace():
-    import etendue.integration as package
-
-    assert package.library is array_namespace and "library" not in package.__all__
-    with pytest.raises(AttributeError, match="no attribute 'libraries'"):
-        _ = package.libraries

@@ -15,7 +15,8 @@ import etendue
 from etendue.cli.main import main
 from etendue.core import CheckpointError, OptionError, Progress
 from etendue.jobs.multipath import MultipathWork
-from etendue.radiosity import MultipathPasses, Patches, RadiosityError, read_solution
+from etendue.radiosity import MultipathPasses, Patches, RadiosityError, exact_form_factors, read_solution
+from etendue.radiosity import solve as solve_system
 
 meshio = pytest.importorskip("meshio")
 
@@ -55,6 +56,36 @@ def test_it_comes_to_the_solution_of_the_system():
     assert runs[0].solution.imbalance < 0.02 and runs[0].segments is None and runs[0].bundles == 0
 
 
+def scattered(points=None, generator=None):
+    """(irradiance of 16 seeds, that of the system)"""
+    exact = solve_system(cube(2, **LIT), exact_form_factors(cube(2, **LIT)), "direct").irradiance
+    asked = {"points": 1 << 12, "shot": False, "point_set": points, "generator": generator}
+    return np.array([solve(seed=seed, **asked).solution.irradiance for seed in range(16)]), exact
+
+
+@pytest.mark.parametrize("generator", ["sphere-pairs", "box-walls", "great-circle"])
+def test_lines_of_all_generators_come_to_the_solution_of_the_system(generator):
+    found, exact = scattered("independent", generator)
+    assert np.abs((found.mean(axis=0) - exact) / (found.std(axis=0, ddof=1) / 4)).max() < 4.5
+
+
+def test_sequences_have_less_error():
+    """The squared errors are 0.34, 0.41 and 0.57 of those of independent lines."""
+    errors = {}
+    for points in ("independent", "sobol", "halton", "weyl"):
+        found, exact = scattered(points)
+        errors[points] = ((found - exact) ** 2).mean()
+    assert max(errors["sobol"], errors["halton"]) < 0.6 * errors["independent"]
+    assert errors["weyl"] < 0.8 * errors["independent"]
+
+
+def test_what_no_name_is_given_of():
+    found = [solve(points=1 << 10, **asked).solution.radiosity for asked in ({}, {"point_set": "sobol"})]
+    other = solve(points=1 << 10, generator="box-walls").solution.radiosity
+    np.testing.assert_array_equal(*found)
+    assert not np.array_equal(other, found[0])
+
+
 def test_a_first_shot_and_the_files():
     vertices, faces, emission = lamp_in_a_room()
     patches = Patches(vertices, faces, reflectance=0.5, emission=emission)
@@ -91,6 +122,7 @@ def test_a_callback_stops_and_a_checkpoint_goes_on():
     for options, text in (
         ({"shot": False}, "begun with shot=True"),
         ({"seed": 3}, "made with seed 2"),
+        ({"point_set": "halton"}, "points was sobol, is halton"),
         ({"points": POINTS // 8}, "more than"),
         ({"patches": cube(1, reflectance=0.5, emission=1.0), "points": POINTS}, "the scene is not the one"),
     ):
@@ -108,6 +140,10 @@ def test_a_callback_stops_and_a_checkpoint_goes_on():
         ({"local_rays": False}, "multipath casts no local rays: leave out local_rays="),
         ({"points": 0}, "a budget in points must be a whole number of at least 1"),
         ({"solver": "jacobi", "points": 16}, "points= is for multipath; limit jacobi by bundles="),
+        ({"solver": "jacobi", "point_set": "halton"}, "point_set= is for multipath: give solver= multipath"),
+        ({"point_set": "hallton"}, "there is no point set 'hallton'; did you mean 'halton'"),
+        ({"generator": "bundles"}, "there is no generator 'bundles'; there are: sphere-pairs"),
+        ({"solver": None, "hierarchy": {"points": "weyl"}, "point_set": "halton"}, "'weyl' and 'halton': give one"),
     ],
 )
 def test_options_that_do_not_belong_together(options, text):
@@ -197,6 +233,18 @@ def test_a_stopped_run_keeps_its_work_and_resumes_to_the_same(monkeypatch, capsy
     [
         (f"{ROOM} --bundles 16", "multipath casts single lines, not bundles: give --points"),
         (f"{ROOM} --no-local-rays", "multipath casts no local rays: leave out --no-local-rays"),
+        (f"{ROOM} --lines 100", "multipath casts single lines: leave out --lines, the lines of a bundle"),
+        (f"{ROOM} --point-set hallton", "there is no point set 'hallton'; did you mean 'halton'"),
+        (
+            "radiosity room.vtu --emission glow --hierarchy --generator bundles",
+            "there is no generator 'bundles'; there are: sphere-pairs",
+        ),
+        ("radiosity room.vtu --emission glow --generator box-walls", "--generator is for multipath: give --solver"),
+        ("radiosity room.vtu --emission glow --hierarchy --lines 9", "give the lines of a pass as a setting, lines=N"),
+        (
+            "radiosity room.vtu --emission glow --ambient --lines 9",
+            "an ambient solution needs no lines: leave out --lines",
+        ),
         ("radiosity room.vtu --emission glow --points 16", "--points is for multipath; limit conjugate-gradient by"),
     ],
 )

@@ -312,3 +312,32 @@ def test_a_cache_has_the_lengths_of_the_scene(jewel):
         expected = 4 * np.sqrt(0.5) * np.arctan(np.sqrt(0.5)) * np.array([3.0, 2.0, 1.0])
         np.testing.assert_allclose(value[0], expected, rtol=0.03)
         np.testing.assert_allclose(cache.records[:, :3], points[:records], atol=1e-7)
+
+
+def test_particles_are_reflected_by_their_directions():
+    """A rough metal plate under a lamp: with their directions, the nearest particles give the light of ``path``, which
+    has a highlight on the plate."""
+    up, down = (mi.ScalarTransform4f().rotate([1, 0, 0], angle) for angle in (-90, 90))
+    metal = {"type": "roughconductor", "material": "none", "alpha": 0.4}
+    over = mi.ScalarTransform4f().translate([0, 1, 0]) @ down
+    lamp = {"type": "rectangle", "to_world": over.scale(0.4), "bsdf": diffuse(0.0, 0.0, 0.0)}
+    scene = {
+        "type": "scene",
+        "plate": {"type": "rectangle", "to_world": up, "bsdf": metal},
+        "lamp": lamp | {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}},
+        "sensor": camera([0.0, 0.6, 2.0], [0, 0, 0], 25.0, size=(6, 6)),
+    }
+    problem = load(scene)
+    exact = run(problem, "path", passes=2, samples=2048).mean[1:5, 1:5]
+    particles = trace_particles(scene, particles=60_000).particles
+    made = NearestMap(MapSurfaces(problem, 100), particles, 400)
+    found = ended(problem, "path", made, passes=1, samples=64, map_glossy=True).mean[1:5, 1:5]
+    assert exact.max() > 2 * exact.min() > 0
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), exact.mean(axis=(0, 1)), rtol=0.03)
+    assert np.abs(found - exact).max() < 0.05 * exact.max()  # measured: 0.03
+
+
+def test_directions_are_those_of_the_nearest_particles():
+    problem = furnace("box", RADIANCE, ALBEDO)
+    with pytest.raises(OptionError, match="map_glossy=true is for maps of the nearest particles"):
+        ended(problem, "path", even(problem, 1.0), map_glossy=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.radiosity.ambient import equal_factors
 from support.patches import cube, room
 
 import etendue
@@ -37,7 +38,7 @@ from etendue.radiosity import (
     sub_scenes,
     sub_scenes_of,
 )
-from etendue.surfaces import AMBIENT_TERMS, class_factors, class_light, class_weights, equal_factors
+from etendue.surfaces import AMBIENT_TERMS, class_factors, class_light, class_weights
 
 
 def some_power(patches, seed=0):

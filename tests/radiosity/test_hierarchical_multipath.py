@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.radiosity.plain_caster import PlainCaster
 from support.patches import room, square
 
 from etendue.core import CheckpointError
@@ -30,7 +31,6 @@ from etendue.radiosity.hierarchical_multipath.firstshot import FirstShots
 from etendue.radiosity.hierarchical_multipath.grouping import _Item, _merged, _Pairs
 from etendue.radiosity.hierarchical_multipath.lists import PartRays, preprocess
 from etendue.radiosity.hierarchical_multipath.parts import Tree, box_area
-from etendue.radiosity.hierarchical_multipath.reference import PlainCaster
 from etendue.radiosity.hierarchical_multipath.regions import Regions
 from etendue.radiosity.lines.generators import box_lines
 
@@ -321,6 +321,29 @@ def test_a_mirrored_turned_and_larger_scene_has_the_same_light():
 def test_a_plate_under_the_sky_has_its_irradiance():
     plate = Patches(*square((0, 0, 0), (3, 0, 0), (0, 3, 0)), reflectance=0.7, sky=2.0)
     assert solved(Part(plate)).irradiance(0)[0, 0] == pytest.approx(2.0, rel=0.01)
+
+
+@pytest.mark.parametrize("generator", ["sphere-pairs", "great-circle"])
+@pytest.mark.parametrize("sky", [0.0, 2.0])
+def test_lines_of_all_generators_come_to_the_same(generator, sky):
+    """Power, also that of the sky, which a line carries by the density of its generator."""
+    ground = Patches(*square((0, 0, 0), (3, 0, 0), (0, 3, 0)), reflectance=0.7, sky=sky)
+    root = (
+        Part(ground, [(Part(things(), objects=2), [moved(0.8, 0.8, 0.01), moved(2.1, 1.9, 0.01)])]) if sky else hall()
+    )
+
+    def light(generator, points, seed):
+        settings = HierarchicalMultipathSettings(lines=1 << 14, generator=generator, points=points)
+        method = HierarchicalMultipath(settings)
+        method.prepare(PartProblem(root), seed)
+        solution = method.solution(Runner(method, seed=seed, budget=Budget(iterations=1)).run().measurement)
+        return [solution.irradiance(node).mean() for node in range(3)]
+
+    expected = np.array([light("box-walls", "sobol", seed) for seed in range(8)])
+    found = np.array([light(generator, "halton", seed) for seed in range(8)])
+    error = np.hypot(*(x.std(axis=0, ddof=1) / np.sqrt(8) for x in (expected, found)))
+    assert (np.abs(found.mean(axis=0) - expected.mean(axis=0)) < 4.5 * error).all()
+    assert (error < 0.02 * expected.mean(axis=0)).all()
 
 
 def test_values_on_patches_and_on_the_joined_mesh():

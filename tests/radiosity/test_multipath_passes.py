@@ -10,18 +10,15 @@ from support.running import Stepped
 from etendue.core import CheckpointError, Iterations
 from etendue.engine import Budget, Checkpoint, Job, Runner
 from etendue.radiosity import (
-    ABuffer,
     MultipathPasses,
     MultipathSettings,
     Patches,
     PatchProblem,
-    RadiosityError,
     RayScene,
     multipath,
     shot_at_patches,
     small_emitters,
 )
-from etendue.radiosity.solvers.multipath_passes import even_lines
 
 
 def lit_cube():
@@ -55,7 +52,7 @@ def solution(result):
 def test_passes_are_one_run_of_lines_in_another_unit_of_power():
     patches = lamp_in_a_room()
     found = solution(run(prepared(patches), samples=8 << 10))
-    expected = multipath(even_lines(patches, 3), 8 << 10)
+    expected = multipath(MultipathSettings().lines(patches, 3), 8 << 10)
     for name in ("radiosity", "unshot", "sent", "absorbed", "to_sky"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, atol=1e-12, err_msg=name)
 
@@ -127,12 +124,6 @@ def test_a_shot_goes_first():
     method = prepared(patches, points=1 << 12, shot_rays=1 << 14)
     result = solution(run(method, iterations=4))
     shot = shot_at_patches(RayScene(patches), 1 << 14, emitters=small_emitters(patches, 1.0))
-    expected = multipath(even_lines(patches, 5), 1 << 14, shot=shot)
+    expected = multipath(MultipathSettings().lines(patches, 5), 1 << 14, shot=shot)
     areas = patches.areas[:, None]
     assert (areas * np.abs(result.radiosity - expected.radiosity)).sum() < 0.01 * (areas * expected.radiosity).sum()
-
-
-def test_parallel_lines_are_refused():
-    method = MultipathPasses(engine=lambda patches, seed: ABuffer(patches))
-    with pytest.raises(RadiosityError, match="take multipath_bundles"):
-        method.prepare(PatchProblem(lit_cube()), 1)

@@ -9,9 +9,10 @@ from support.patches import box, joined
 from support.scenes import camera, diffuse, mesh, rgb, transform
 
 from etendue.core import EtendueError, OptionError, Replica, SceneError
+from etendue.jobs import picture
 from etendue.methods import Path
 from etendue.points import OwenSobol
-from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, SurfaceError, picture, scene_patches, solve
+from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, SurfaceError, scene_patches, solve
 from etendue.scene import load
 
 GREY = diffuse(0.5, 0.5, 0.5)
@@ -246,12 +247,3 @@ def test_bands_are_no_colours_and_a_picture_needs_a_sensor():
     if not scene.sensors():
         with pytest.raises(SceneError, match="has no sensor"):
             picture(solved(patches, 1.0), scene)
-
-
-def test_pictures_are_found_where_they_were():
-    import etendue.jobs
-    import etendue.radiosity
-
-    assert picture is etendue.jobs.picture and set(etendue.radiosity.PICTURE_FILES) == {".exr", ".png"}
-    with pytest.raises(AttributeError, match="no attribute 'pictures'"):
-        _ = etendue.radiosity.pictures

@@ -88,11 +88,12 @@ def test_values_in_place_give_the_picture_of_a_scene_read_with_them(changed: np.
     before = picture(problem)
     editor = SceneEditor(problem.scene)
     assert {p.key for p in editor.list()} >= set(VALUES)
+    originals = {key: editor.get(key).value for key in VALUES}
     editor.set(VALUES)
     after = picture(replace(problem))
     np.testing.assert_allclose(after, changed, rtol=2e-4, atol=1e-5)
     assert np.abs(after - before).max() > 0.1
-    editor.set({key: editor.original(key) for key in VALUES})
+    editor.set(originals)
     np.testing.assert_allclose(picture(replace(problem)), before, rtol=2e-4, atol=1e-5)
 
 

@@ -16,6 +16,7 @@ from etendue.core import Iterations, Measurement, Pass
 from etendue.distributed import Arrival, Lost, Recipe, Spread
 from etendue.distributed.content import Offered, Store
 from etendue.distributed.pool import Delivered
+from etendue.distributed.schedules import OnDemand
 from etendue.distributed.worker import Made, Needs, _Desk, _Run, merge_outcomes
 from etendue.engine import Budget, InTurn, Runner
 
@@ -194,7 +195,7 @@ def _shorter(chunk, source):
     return replace(chunk, count=source.randrange(chunk.count + 1))
 
 
-def run(pool, method, passes, start=None, state=None, seed=5, schedule="demand", longest=None, on_progress=None):
+def run(pool, method, passes, start=None, state=None, seed=5, schedule=OnDemand, longest=None, on_progress=None):
     method.prepare(None, seed)
     runner = Runner(
         method,

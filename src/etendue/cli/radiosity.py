@@ -22,11 +22,13 @@ from .radiosity_options import (
     Bounces,
     BoxRegions,
     BoxSettings,
+    BundleLines,
     Bundles,
     CheckpointFile,
     Divide,
     Engine,
     Error,
+    Generator,
     GroupedObjects,
     Hierarchy,
     Ids,
@@ -64,6 +66,7 @@ def form_factors(
     ],
     output: out.FactorFiles = None,
     bundles: Bundles = None,
+    lines: BundleLines = None,
     time: opt.Time = None,
     error: Error = None,
     estimator: Annotated[
@@ -103,8 +106,10 @@ def form_factors(
     from etendue.jobs import FormFactorRequest, FormFactorWork
 
     device = opt.Device(variant, threads, cluster, workers)
-    if exact and (bundles, time, error, checkpoint, hierarchy) != (None, None, None, None, None):
-        raise OptionError("--exact casts no lines: leave out --bundles, --time, --error, --checkpoint and --hierarchy")
+    if exact and (bundles, lines, time, error, checkpoint, hierarchy) != (None,) * 6:
+        raise OptionError(
+            "--exact casts no lines: leave out --bundles, --lines, --time, --error, --checkpoint and --hierarchy"
+        )
     request = FormFactorRequest(
         source=mesh,
         estimator=estimator,
@@ -116,6 +121,7 @@ def form_factors(
         outputs=tuple(output or [Path("factors.npz")]),
         seconds=time,
         bundles=bundles,
+        lines=lines or 0.0,
         error=error,
         seed=seed or 0,
         max_area=max_area,
@@ -138,6 +144,7 @@ def radiosity(
     ],
     output: out.SolutionFiles = None,
     bundles: Bundles = None,
+    lines: BundleLines = None,
     time: opt.Time = None,
     error: Error = None,
     max_area: MaxArea = None,
@@ -181,6 +188,8 @@ def radiosity(
         bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
     no_local_rays: NoLocalRays = False,
+    point_set: PointSet = None,
+    generator: Generator = None,
     hierarchy: Hierarchy = None,
     objects: GroupedObjects = None,
     threshold: Threshold = None,
@@ -235,11 +244,14 @@ def radiosity(
         ),
         seconds=time,
         bundles=bundles,
+        lines=lines or 0.0,
         points=points,
         error=error,
         seed=seed or 0,
         max_area=max_area,
         shot=not no_shot,
+        point_set=point_set,
+        generator=generator,
         ambient=ambient,
         bounces=bounces,
         sub_scenes=sub_scenes,

@@ -20,6 +20,16 @@ Bundles = Annotated[
         metavar="N",
     ),
 ]
+BundleLines = Annotated[
+    float | None,
+    typer.Option(
+        "--lines",
+        help="Lines of a bundle through the sphere around the scene; if not given, some four for each patch. Of "
+        "form-factors --hierarchy: in all spheres together.",
+        min=1,
+        metavar="N",
+    ),
+]
 Error = Annotated[
     float | None,
     typer.Option(
@@ -70,7 +80,21 @@ Engine = Annotated[
 ]
 PointSet = Annotated[
     str | None,
-    typer.Option("--point-set", help="With --hierarchy: independent, halton, sobol or spiral.", metavar="NAME"),
+    typer.Option(
+        "--point-set",
+        help="What draws lines, with --hierarchy or multipath: sobol, halton, weyl or independent; or, with --engine "
+        "bundles, spiral.",
+        metavar="NAME",
+    ),
+]
+Generator = Annotated[
+    str | None,
+    typer.Option(
+        "--generator",
+        help="How a line is made of a point: sphere-pairs (multipath, if not given), box-walls (--hierarchy, if not "
+        "given) or great-circle.",
+        metavar="NAME",
+    ),
 ]
 MainShare = Annotated[
     float | None,

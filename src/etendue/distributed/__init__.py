@@ -3,18 +3,15 @@
 from .cluster import Cluster, open_cluster, opened_cluster
 from .content import Entry, Offered, Store
 from .dask import DaskPool
-from .divided import BOX_SCHEDULES, Divided, Traffic
+from .divided import Divided, Traffic
 from .pool import Arrival, Lost, Pool
 from .processes import ProcessPool
 from .recipe import Ingredients, Recipe, part_ingredients, recipe, scene_ingredients
 from .rounds import Correspondence, Rounds
-from .schedules import SCHEDULES
 from .spread import Spread
 from .worker import Chunk
 
 __all__ = [
-    "BOX_SCHEDULES",
-    "SCHEDULES",
     "Arrival",
     "Chunk",
     "Cluster",

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Measurement, OptionError, Pass, suggest
+from etendue.core import Measurement, Pass
 from etendue.engine import Order
 
 from .content import Offered
@@ -27,9 +27,6 @@ _AHEAD = 2
 #: Number of tasks of a worker at a time.
 _IN_FLIGHT = 2
 _TICK = 0.1
-
-#: The worker for the paths of a box: always the same one, or an idle one, if possible one that holds the box.
-BOX_SCHEDULES = ("static", "demand")
 
 #: Records of paths, (n, words) uint32; column 1 is the box in which a path goes on.
 Records = NDArray[np.uint32]
@@ -59,10 +56,6 @@ class Traffic:
         """How often the scene of a box was loaded by a worker."""
         return sum(visit.loaded for visit in self.visits)
 
-    def boxes_of(self, worker: str) -> list[int]:
-        """The boxes of a worker's tasks, in their order."""
-        return [visit.box for visit in self.visits if visit.worker == worker and visit.box >= 0]
-
 
 @dataclass
 class _Open:
@@ -77,9 +70,8 @@ class Divided(Crew[Errand]):
     """Makes passes of light paths in a divided scene; implements ``engine.Executor``.
 
     recipes: of the method in each box, whose functions ``emit`` and ``carry`` return (product, records, counters).
-    gather: makes the measurement of a pass of its iteration, products and counters. paths: of a pass. kept: boxes that
-    a worker holds at a time, the last used ones; by default an equal share of all boxes. schedule: one of
-    :data:`BOX_SCHEDULES`.
+    gather: makes the measurement of a pass of its iteration, products and counters. paths: of a pass. A
+    worker holds an equal share of the boxes, those it used last.
 
     Records pass through this process. The tasks of a lost worker are sent again, and each product counts once.
     """
@@ -94,18 +86,13 @@ class Divided(Crew[Errand]):
         paths: int,
         gather: Callable[[int, Sequence[NDArray[np.uint32]], dict[str, float]], Measurement],
         *,
-        kept: int | None = None,
-        schedule: str = "demand",
         traffic: Traffic | None = None,
     ) -> None:
-        if schedule not in BOX_SCHEDULES:
-            raise OptionError(f"boxes have no schedule '{schedule}'; {suggest(schedule, BOX_SCHEDULES)}")
         contents: dict[str, Any] = {}
         for recipe in recipes:
             contents |= recipe.offered.contents
         super().__init__(pool, Offered(contents))
         self._recipes, self._order, self._paths, self._gather = recipes, order, paths, gather
-        self._most_kept, self._schedule = kept, schedule
         self.traffic = traffic if traffic is not None else Traffic()
         self._missing = order.done.missing()
         self._begun = len(order.done)
@@ -162,8 +149,7 @@ class Divided(Crew[Errand]):
     @property
     def _kept(self) -> int:
         """Number of boxes that a worker holds."""
-        share = -(-len(self._recipes) // max(1, len(self._workers)))
-        return max(1, share if self._most_kept is None else self._most_kept)
+        return -(-len(self._recipes) // max(1, len(self._workers)))
 
     def _begin(self, iteration: int) -> None:
         """Paths of a pass begin: any worker can sample the lights."""
@@ -202,10 +188,7 @@ class Divided(Crew[Errand]):
     def _choose(self, name: str) -> int | None:
         """The next box for a worker: of the boxes open to it, the one with the most waiting paths."""
         full = {box: sum(map(_size, queue)) for box, queue in self._waiting.items() if queue}
-        if self._schedule == "static":
-            names = sorted(self._workers)
-            full = {box: n for box, n in full.items() if names[box % len(names)] == name}
-        elif mine := {box: n for box, n in full.items() if box in self._holds[name]}:
+        if mine := {box: n for box, n in full.items() if box in self._holds[name]}:
             full = mine
         else:
             # A box that another worker holds is left to that worker, unless many paths wait.
@@ -220,10 +203,8 @@ class Divided(Crew[Errand]):
         """The box in which a worker begins paths: the one that it used last, or its first one."""
         if self._holds[name]:
             return next(reversed(self._holds[name]))
-        names, boxes = sorted(self._workers), range(len(self._recipes))
-        mine = [box for box in boxes if names[box % len(names)] == name]
-        free = [box for box in boxes if box not in self._held_by_others(name)]
-        return next(iter(mine if self._schedule == "static" else free), None)
+        held = self._held_by_others(name)
+        return next((box for box in range(len(self._recipes)) if box not in held), None)
 
     def _joined_tasks(self, queue: list[Errand]) -> Errand:
         """The first task of a queue, with the paths of others of the same pass, up to :data:`_BATCH` paths."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import heapq
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Collection, Iterator
-from itertools import islice
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
-from etendue.core import OptionError, State, suggest
+from etendue.core import State
 from etendue.engine import Order
 
 from .worker import Chunk, Made
@@ -48,8 +47,8 @@ class OnDemand:
 
     in_flight: ClassVar[int] = _IN_FLIGHT
 
-    def __init__(self, missing: Iterator[int]) -> None:
-        self._missing = missing
+    def __init__(self, order: Order) -> None:
+        self._missing: Iterator[int] = order.done.missing()
         self._again: list[int] = []  # given back, a heap
 
     def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
@@ -77,77 +76,6 @@ class OnDemand:
 
     def lost(self, worker: str) -> None:
         """See :class:`Schedule`: the chunks of the worker are given back one by one."""
-
-
-class Static:
-    """Equal shares of all passes from the beginning, one for each worker. The passes of a lost worker go to workers
-    that have none left; workers that join later get no others."""
-
-    in_flight: ClassVar[int] = _IN_FLIGHT
-
-    def __init__(self, missing: Iterator[int], count: int) -> None:
-        self._all = _ranges(islice(missing, count))
-        self._queues: dict[str, deque[range]] = {}
-        self._loose: deque[range] = deque()
-        self._made: Counter[str] = Counter()
-        self._begun = False
-
-    def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
-        """See :class:`Schedule`."""
-        if not self._begun:
-            self._begun = True
-            names = sorted(workers)
-            for name, share in zip(names, _shares(self._all, len(names)), strict=True):
-                self._queues[name] = share
-        queue = self._queues.setdefault(worker, deque())
-        if not queue:
-            if self._loose:
-                queue.append(self._loose.popleft())
-            elif not self._refill(worker, queue):
-                return None
-        first = queue.popleft()
-        if len(first) > count:
-            queue.appendleft(first[count:])
-            first = first[:count]
-        return first.start, len(first), None, None
-
-    def _refill(self, worker: str, queue: deque[range]) -> bool:
-        return False
-
-    def give_back(self, chunk: Chunk, first: int) -> None:
-        """See :class:`Schedule`."""
-        if first < chunk.first + chunk.count:
-            self._loose.append(range(first, chunk.first + chunk.count))
-
-    def after(self, worker: str, chunk: Chunk, made: Made) -> None:
-        """See :class:`Schedule`."""
-        self._made[worker] += made.passes
-
-    def lost(self, worker: str) -> None:
-        """See :class:`Schedule`."""
-        self._loose.extend(self._queues.pop(worker, ()))
-
-
-class Stealing(Static):
-    """Equal shares at first. A worker without passes takes some from the worker with the most, in the ratio of the
-    passes that both have made [Leeson 2001, sec. 5.6.4]."""
-
-    def _refill(self, worker: str, queue: deque[range]) -> bool:
-        victim = max(self._queues, key=lambda name: sum(map(len, self._queues[name])))
-        rest = self._queues[victim]
-        left = sum(map(len, rest))
-        if not left:
-            return False
-        mine, other = self._made[worker] + 1, self._made[victim] + 1
-        wanted = max(1, round(left * mine / (mine + other)))
-        while wanted:
-            last = rest.pop()  # the victim goes on at the front
-            if len(last) > wanted:
-                rest.append(last[:-wanted])
-                last = last[-wanted:]
-            queue.appendleft(last)
-            wanted -= len(last)
-        return True
 
 
 class Replicas:
@@ -209,51 +137,3 @@ class Replicas:
 
     def lost(self, worker: str) -> None:
         """See :class:`Schedule`: another worker takes its replica."""
-
-
-#: Schedules of passes that do not depend on each other.
-SCHEDULES = ("demand", "static", "stealing")
-
-
-def schedule_of(name: str, order: Order, carries_on: bool) -> Schedule:
-    """The schedule of a run. Raises :class:`OptionError` for a name that is not in :data:`SCHEDULES`, and for shares of
-    an unlimited run."""
-    if name not in SCHEDULES:
-        raise OptionError(f"there is no schedule '{name}'; {suggest(name, SCHEDULES)}")
-    if carries_on:
-        return Replicas(order)
-    if name == "demand":
-        return OnDemand(order.done.missing())
-    if order.most is None:
-        raise OptionError(f"the schedule '{name}' divides a number of passes: limit them, or take the schedule demand")
-    kind: Any = {"static": Static, "stealing": Stealing}[name]
-    return kind(order.done.missing(), max(0, order.most - len(order.done)))
-
-
-def _ranges(numbers: Iterator[int]) -> list[range]:
-    """Ascending numbers as ranges of consecutive numbers."""
-    found: list[range] = []
-    for number in numbers:
-        if found and found[-1].stop == number:
-            found[-1] = range(found[-1].start, number + 1)
-        else:
-            found.append(range(number, number + 1))
-    return found
-
-
-def _shares(ranges: list[range], parts: int) -> list[deque[range]]:
-    """The numbers of ranges in ``parts`` parts whose sizes differ by at most 1."""
-    total, shares = sum(map(len, ranges)), []
-    rest = deque(ranges)
-    for part in range(parts):
-        wanted = total * (part + 1) // parts - total * part // parts
-        share: deque[range] = deque()
-        while wanted:
-            first = rest.popleft()
-            if len(first) > wanted:
-                rest.appendleft(first[wanted:])
-                first = first[:wanted]
-            share.append(first)
-            wanted -= len(first)
-        shares.append(share)
-    return shares

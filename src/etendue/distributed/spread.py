@@ -14,7 +14,7 @@ from etendue.engine import Order
 from .crew import Crew, Member
 from .pool import Arrival, Lost, Pool
 from .recipe import Recipe
-from .schedules import schedule_of
+from .schedules import OnDemand, Replicas, Schedule
 from .worker import Chunk, Made, Merged, widened
 
 #: Seconds of a chunk: at least, and at most.
@@ -39,7 +39,7 @@ class Spread(Crew[Chunk]):
     each other are given to one worker each; if a worker is lost, another continues from the last state that arrived.
 
     ``attributes`` are set on the method in the workers. longest: most passes of a chunk; with one, passes come one by
-    one. schedule: one of :data:`SCHEDULES`.
+    one. schedule: of independent passes.
     """
 
     keeps_time: ClassVar[bool] = True
@@ -51,7 +51,7 @@ class Spread(Crew[Chunk]):
         order: Order,
         attributes: Mapping[str, Any] | None = None,
         longest: int | None = None,
-        schedule: str = "demand",
+        schedule: Callable[[Order], Schedule] = OnDemand,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(pool, recipe.offered, clock)
@@ -61,7 +61,7 @@ class Spread(Crew[Chunk]):
         self._longest, self._transfer = 0.0, 0.0
         self._ending = False
         self._shares: dict[str, int] = {}
-        self._work = schedule_of(schedule, order, recipe.carries_on)
+        self._work = Replicas(order) if recipe.carries_on else schedule(order)
         self._speeds = _Sum()  # passes per second
         #: Workers with room for a chunk, and workers for which there was no chunk.
         self._hungry: set[str] = set()

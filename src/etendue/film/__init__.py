@@ -19,7 +19,6 @@ from .errors import (
     relative_bias,
     relative_mse,
     relative_squared_error,
-    rmse,
 )
 from .exr import channel_names, layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import PixelFilter
@@ -67,7 +66,6 @@ __all__ = [
     "relative_mse",
     "relative_squared_error",
     "replacing",
-    "rmse",
     "variance_of",
     "without_fireflies",
     "write_bytes",

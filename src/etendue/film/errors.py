@@ -44,13 +44,6 @@ def relative_mse(image: ArrayLike, reference: ArrayLike, trim: float = 0.0) -> f
     return _trimmed_mean(error[np.isfinite(error)], trim)
 
 
-def rmse(image: ArrayLike, reference: ArrayLike) -> float:
-    """Root of the mean squared difference over channels and finite pixels. NaN if there are none."""
-    x, ref = _pair(image, reference)
-    finite = _finite(x, ref)
-    return float(np.sqrt(((x[finite] - ref[finite]) ** 2).mean())) if finite.any() else float("nan")
-
-
 def luminance_rmse(image: ArrayLike, reference: ArrayLike, trim: float = 0.0) -> float:
     """Root of the mean squared difference of luminance over finite pixels of two RGB images, ``trim`` as for
     :func:`relative_mse`. NaN if there are none."""

@@ -1,7 +1,5 @@
 """Integrals over boxes: functions and their algebra, and general integrators."""
 
-from typing import TYPE_CHECKING
-
 from .backend import Backend, DeviceBackend, HostBackend, array_namespace
 from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
 from .densities import (
@@ -88,11 +86,3 @@ __all__ = [
     "split_r_hat",
     "warp_rows",
 ]
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name):
-        """``library`` is the former name of ``array_namespace``."""
-        if name == "library":
-            return array_namespace
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -60,6 +60,9 @@ class HierarchyRequest(RadiosityRequest):
     def settings(self) -> HierarchicalMultipathSettings:
         """Settings of the method. Raises :class:`OptionError` for unknown names, and for values out of range."""
         given = dict(self.hierarchy) if self.shot else {"shot": 0} | dict(self.hierarchy)
+        for name, value in self.line_settings.items():
+            if given.setdefault(name, value) != value:
+                raise OptionError(f"two {name} of hierarchical multipath, '{given[name]}' and '{value}': give one")
         return HierarchicalMultipathSettings.from_mapping(given, owner="hierarchical multipath")
 
     @property
@@ -88,7 +91,7 @@ class HierarchyRequest(RadiosityRequest):
                     f"{option(name)} is not for hierarchical multipath, which solves by itself: leave it out"
                 )
         if self.lines:
-            raise OptionError("lines= is for bundles: give lines of a pass as hierarchy={'lines': ...}")
+            raise OptionError(f"{option('lines')} is for bundles: give the lines of a pass as a setting, lines=N")
         if not self.local_rays:
             raise OptionError(f"hierarchical multipath casts no local rays: leave out {option('local_rays')}")
         super()._check_outputs()

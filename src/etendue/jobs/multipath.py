@@ -109,11 +109,13 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         points = self.budget.samples
         in_pass = _POINTS_PER_PASS if points is None else min(_POINTS_PER_PASS, -(-points // _PASSES))
         rays = _LEAST_SHOT_RAYS if self.request.error is not None else min(points or _SHOT_RAYS, _SHOT_RAYS)
-        return MultipathSettings(points_per_pass=in_pass, shot_rays=float(rays) if self.request.shot else 0.0)
+        return MultipathSettings(
+            points_per_pass=in_pass, shot_rays=float(rays) if self.request.shot else 0.0, **self.request.line_settings
+        )
 
     def _of_checkpoint(self, saved: Checkpoint, fingerprint: str) -> MultipathPasses:
         """The method with the settings of a checkpoint."""
-        settings: Any = saved.settings_of(MultipathPasses, seed=int(self.request.seed))
+        settings: Any = saved.settings_of(MultipathPasses, self.request.line_settings, int(self.request.seed))
         if (settings.shot_rays > 0) != self.request.shot:
             begun = settings.shot_rays > 0
             raise CheckpointError(f"the checkpoint was begun with shot={begun}, not shot={self.request.shot}")

@@ -21,6 +21,8 @@ from etendue.radiosity import (
     AMBIENT_TERMS,
     ESTIMATORS,
     FORM_FACTOR_FILES,
+    LINE_POINTS,
+    SINGLE_LINES,
     SOLVERS,
     GroupSettings,
     Part,
@@ -119,6 +121,9 @@ class RadiosityRequest(LinesRequest):
     solver: str | None = None
     points: int | None = None
     shot: bool = True  #: send the light of small emitters by local rays first
+    #: What draws the lines of multipath, and how a line is made of a point; ``None`` for the default.
+    point_set: str | None = None
+    generator: str | None = None
     #: Ambient term for all light, without lines; or for the light left after ``bounces`` iterations.
     ambient: str | None = None
     bounces: int | None = None
@@ -207,6 +212,7 @@ class RadiosityRequest(LinesRequest):
         self._check_ambient()
         self._check_groups()
         self._check_limits()
+        self._check_lines()
         self.outputs.check(self.wording)
         if 1 in (self.bundles, self.points):
             self.outputs.check_errors(None, self.wording, f"at least two {self._counted} to estimate the error")
@@ -226,6 +232,24 @@ class RadiosityRequest(LinesRequest):
             raise OptionError(f"multipath casts single lines: leave out {option('lines')}, the lines of a bundle")
         if not self.local_rays:
             raise OptionError(f"multipath casts no local rays: leave out {option('local_rays')}")
+
+    @property
+    def line_settings(self) -> dict[str, str]:
+        """The requested ``points`` and ``generator`` of the settings of multipath."""
+        asked = {"points": self.point_set, "generator": self.generator}
+        return {name: value for name, value in asked.items() if value is not None}
+
+    def _check_lines(self) -> None:
+        """Refuse line settings that do not exist, or that the solver does not have."""
+        for name, known in (("point_set", LINE_POINTS), ("generator", SINGLE_LINES)):
+            if (value := getattr(self, name)) is None:
+                continue
+            if self._unit != "lines":
+                hierarchy, solver = map(self.wording.option, ("hierarchy", "solver"))
+                raise OptionError(
+                    f"{self.wording.option(name)} is for multipath: give {solver} multipath, or {hierarchy}"
+                )
+            _check_name(name.replace("_", " "), value, tuple(known))
 
     @property
     def is_instant(self) -> bool:
@@ -256,6 +280,7 @@ class RadiosityRequest(LinesRequest):
             name: getattr(self, name) for name in ("seconds", "bundles", "points", "error", "checkpoint")
         }
         asked |= {name: None if getattr(self, name) else False for name in ("shot", "local_rays")}
+        asked["lines"] = self.lines or None
         asked["solver"] = None if self.solver == "conjugate-gradient" else self.solver
         for name in (name for name, value in asked.items() if value is not None):
             raise OptionError(
@@ -338,7 +363,17 @@ class RadiosityRequest(LinesRequest):
         return f"'{self.name}' has no light; {how}"
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "solver", "shot", "ambient", "bounces", "objects", "groups")
+        return (
+            *super()._noted(),
+            "solver",
+            "shot",
+            "point_set",
+            "generator",
+            "ambient",
+            "bounces",
+            "objects",
+            "groups",
+        )
 
     def _noted_outputs(self) -> dict[str, Any]:
         return {"parameters": self._plain_parameters, "outputs": self.outputs.to_dict()}

@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from etendue.core import CheckpointError, OptionError, State, logger, setting
 from etendue.scene import Problem
-from etendue.surfaces import SurfaceMap, read_map
+from etendue.surfaces import NearestMap, SurfaceMap, read_map
 from etendue.transport import CameraPath, EndingGuidedWalk, EndingWalker, GuidedWalk, MapEnd, Walker, light_of_map
 
 from .base import CameraSettings, ImageMethod, W, total
@@ -40,6 +40,11 @@ class EndingSettings(CameraSettings):
         "null surfaces; 0: the map as the camera sees it, 1: final gather from the map",
         minimum=0,
     )
+    map_glossy: bool = setting(
+        False,
+        "with a map of the nearest particles (knn), whose directions it has: paths end at glossy surfaces, too; blurs "
+        "their reflections; false: paths go on there",
+    )
 
 
 class EndsInMap(ImageMethod):
@@ -67,6 +72,12 @@ class EndsInMap(ImageMethod):
             raise OptionError(
                 "a map does not tell direct light from other light; set map_after=1 or more, or leave out components"
             )
+        self._by_directions = self.map is not None and bool(getattr(self.settings, "map_glossy", False))
+        if self._by_directions and not isinstance(self.map, NearestMap):
+            raise OptionError(
+                "map_glossy=true is for maps of the nearest particles, which have directions: make one by etendue "
+                "particles map --map knn"
+            )
         self._after = dr.opaque(mi.UInt32, after)
 
     def start(self) -> State:
@@ -85,12 +96,12 @@ class EndsInMap(ImageMethod):
         """See :class:`ImageMethod`; paths end in the map."""
         if self.map is None or kind not in _ENDING:
             return super().walker(kind, **own)
-        walker: Any = super().walker(_ENDING[kind], after=self._after, **own)
+        walker: Any = super().walker(_ENDING[kind], after=self._after, by_directions=self._by_directions, **own)
         return walker
 
     def path_fields(self) -> dict[str, Any]:
         """See :class:`ImageMethod`."""
-        return super().path_fields() | ({} if self.map is None else {"end": MapEnd.none()})
+        return super().path_fields() | ({} if self.map is None else {"end": MapEnd.none(self._by_directions)})
 
     def light_of_map(self, path: CameraPath) -> mi.Color3f | None:
         """Light of the map at the ends of paths, whose loop is evaluated first; None without a map.
@@ -101,7 +112,7 @@ class EndsInMap(ImageMethod):
         if self.map is None or end is None:
             return None
         dr.eval(path)
-        light, unmapped = light_of_map(self.map, end)
+        light, unmapped = light_of_map(self.map, end, self.visibility)
         dr.eval(light, unmapped, end.reached)
         missed, ends = total(unmapped), total(end.reached)
         if missed > _UNMAPPED * ends:

@@ -24,6 +24,7 @@ from .ambient import AmbientLight, AmbientPath
 from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
+from .caching import IrradianceCaching
 from .guided import Guided
 from .light import LightTracing
 from .metropolis.filmchains import FilmMetropolis
@@ -52,6 +53,7 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Pssmlt,
     Mmlt,
     FilmMetropolis,
+    IrradianceCaching,
     AmbientPath,
     AmbientLight,
 )

@@ -1,7 +1,6 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
 from .boxes import RECORD_WORDS, BoxGrid, BoxWalk
-from .coherence import distinct_in_windows, lru_misses, visits
 from .errors import ParticleError
 from .files import ParticleFile, is_particle_file
 from .layouts import RECORDS, merged, of_strips, records, strips
@@ -38,14 +37,11 @@ __all__ = [
     "coder_names",
     "columns_of",
     "decode",
-    "distinct_in_windows",
     "encode",
     "in_path_order",
     "is_particle_file",
-    "lru_misses",
     "merged",
     "of_strips",
     "records",
     "strips",
-    "visits",
 ]

@@ -4,9 +4,6 @@ Names of :mod:`etendue.surfaces` (patches, meshes, maps) and :mod:`etendue.forma
 exported here, too.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 from etendue.formats import FormatError, GltfMesh, write_gltf
 from etendue.surfaces import (
     AMBIENT_TERMS,
@@ -78,10 +75,20 @@ from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
 from .lines.engine import LineEngine
-from .lines.generators import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
+from .lines.generators import (
+    GENERATORS,
+    SINGLE_LINES,
+    BoxWalls,
+    Bundles,
+    GreatCircle,
+    LineGenerator,
+    Lines,
+    SpherePairs,
+)
 from .lines.local import LocalRays
 from .lines.mixing import MixedSegments, with_local_rays
 from .lines.segments import Segments
+from .lines.sequences import LINE_POINTS
 from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
 from .solvers.absorption import check_absorption
@@ -98,8 +105,10 @@ __all__ = [
     "FORM_FACTOR_FILES",
     "GENERATORS",
     "LIGHTMAP_MESHES",
+    "LINE_POINTS",
     "MAIN_SHARE",
     "REPLICATES",
+    "SINGLE_LINES",
     "SOLUTION_FILES",
     "SOLVERS",
     "STEFAN_BOLTZMANN",
@@ -228,12 +237,3 @@ __all__ = [
     "with_local_rays",
     "write_gltf",
 ]
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name):
-        """Names that have moved to :mod:`etendue.jobs`. This package may not import that module, which is above it, so
-        they are looked up on access."""
-        if name in ("PICTURE_FILES", "picture"):
-            return getattr(import_module("etendue.jobs"), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

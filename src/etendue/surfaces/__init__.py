@@ -9,7 +9,6 @@ from .ambient import (
     class_factors,
     class_light,
     class_weights,
-    equal_factors,
     incoming,
 )
 from .coincident import REACH_OF_PAIRS, Coincident, box_tree, is_interior, surfaces_of
@@ -100,7 +99,6 @@ __all__ = [
     "cosine_law",
     "diagnose",
     "differences",
-    "equal_factors",
     "even_lanes",
     "face_sides",
     "face_vectors",

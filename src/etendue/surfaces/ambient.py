@@ -97,12 +97,6 @@ def class_weights(term: AmbientTerm, normals: Array) -> Array:
     return weights.T
 
 
-def equal_factors(areas: Array) -> Array:
-    """Class form factors of the thesis: 1/5 between any two of six classes, whatever their ``areas`` (k,)."""
-    count = len(areas)
-    return np.ones((1, 1)) if count == 1 else (1 - np.eye(count)) / (count - 1)
-
-
 def class_factors(areas: Array) -> Array:
     """Class form factors (k, k) that are reciprocal and whose rows sum to 1 for any ``areas`` (k,). No class sees
     itself, unless it has more than half of the area. A class without area neither emits nor receives light; its row

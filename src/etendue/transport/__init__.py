@@ -17,7 +17,7 @@ from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
-from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
+from .endings.maps import EndingGuidedWalk, EndingInIndirect, EndingWalker, light_of_map
 from .firsthits import FirstHits, seen_shapes
 from .functions import TransportFunctions, film_picture
 from .guiding.connections import CLASSES, ConnectionGuide, ConnectionSums
@@ -106,6 +106,7 @@ __all__ = [
     "EmissionTraining",
     "EmittedRay",
     "EndingGuidedWalk",
+    "EndingInIndirect",
     "EndingWalker",
     "Evaluated",
     "Event",

@@ -78,11 +78,18 @@ class MapEnd:
     throughput: mi.Color3f  #: including the albedo
     depth: mi.UInt32  #: edges of the path up to there, one more if the end depends on a choice at the last vertex
     scatterings: mi.UInt32  #: of the path so far, by surfaces other than mirrors, glass and null surfaces
+    #: For maps that reflect particles by their directions: the last edge, and lanes whose throughput does not include
+    #: the albedo.
+    ray: mi.Ray3f | None = None
+    by_directions: mi.Bool | None = None
 
     @classmethod
-    def none(cls) -> MapEnd:
+    def none(cls, by_directions: bool = False) -> MapEnd:
         """Before the first edge."""
-        return cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.UInt32(0), mi.UInt32(0))
+        end = cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.UInt32(0), mi.UInt32(0))
+        if by_directions:
+            end.ray, end.by_directions = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)), mi.Bool(False)
+        return end
 
 
 @dataclass(kw_only=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, cast
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 
 from etendue.core import CheckpointError, Measurement, seed_key, setting
 from etendue.core import Settings as AnySettings
-from etendue.points import Halton, Independent, OwenSobol, PointSet, RandomShift
+from etendue.points import PointSet
 from etendue.surfaces import Objects, Patches
 
 from ..casting import CastingSettings, LineCasting
@@ -19,6 +19,7 @@ from ..errors import RadiosityError
 from ..lines.abuffer import wanted_lines
 from ..lines.engine import LineEngine, warn_of_faults
 from ..lines.segments import Pairs
+from ..lines.sequences import LINE_POINTS, line_points
 from ..lines.spiral import SpiralPoints
 from ..problem import PatchProblem
 from .allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
@@ -44,7 +45,7 @@ class HierarchicalCastingSettings(CastingSettings):
     points: str = setting(
         "auto",
         "what draws the lines; auto takes sobol for rays, spiral for bundles",
-        choices=("auto", "independent", "halton", "sobol", "spiral"),
+        choices=("auto", *LINE_POINTS, "spiral"),
     )
     main_share: float = setting(
         MAIN_SHARE, "share of the lines in the sphere around the scene; 0 chooses all shares by least error", minimum=0
@@ -76,7 +77,7 @@ class HierarchicalCasting(LineCasting):
         if settings.main_share > 1:
             raise RadiosityError(f"the main sphere has at most all of the lines, not {settings.main_share:g}")
         if settings.engine == "rays" and settings.points == "spiral":
-            raise RadiosityError("a spiral is for bundles; rays take independent, halton or sobol points")
+            raise RadiosityError(f"a spiral is for bundles; rays take {', '.join(LINE_POINTS)}")
         if settings.shot or settings.local_rays or settings.replicates > 1:
             raise RadiosityError("form factors by a hierarchy have neither shot nor local rays nor replicates")
         mark = hashlib.blake2b(objects.of_patch.tobytes(), digest_size=8).hexdigest()
@@ -117,15 +118,12 @@ class HierarchicalCasting(LineCasting):
 
     def _points(self, node: int) -> PointSet:
         """The point set of a sphere."""
-        seed = seed_key(self._seed, "lines", node)[0]
         name = self._hierarchy.points
         if name == "auto":
             name = "sobol" if self._hierarchy.engine == "rays" else "spiral"
-        if name == "halton":
-            return RandomShift(Halton(4), seed)
-        kinds: dict[str, Any] = {"independent": Independent, "sobol": OwenSobol}
-        points: PointSet = SpiralPoints(seed) if name == "spiral" else kinds[name](4, seed)
-        return points
+        if name == "spiral":
+            return SpiralPoints(seed_key(self._seed, "lines", node)[0])
+        return line_points(name, self._seed, "lines", node)
 
     def _part(self, chunks: Sequence[Pairs]) -> PartialSegments:  # type: ignore[override]
         return PartialSegments(self.tree, chunks, cast(TreeRays, self.engine).densities(1))

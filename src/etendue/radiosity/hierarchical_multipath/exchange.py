@@ -164,7 +164,7 @@ class Exchange:
             values[:n] = own / counted * has_lines
             unshot += own * ~has_lines  # there is no line to send it along
         if self._sky_is_unsent and node == 0 and part.patches is not None and part.patches.sky.any():
-            values[n] = part.patches.sky * part.box_area / (2 * lists.lines)
+            values[n] = part.patches.sky * lists.surface / (2 * lists.lines)
             totals[0] += values[n] * np.count_nonzero(lists.ends == n)
         if node > 0:
             arrived, self.incoming[node] = _moved(self.incoming[node], lists.donors), 0.0

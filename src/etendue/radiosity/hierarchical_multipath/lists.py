@@ -15,7 +15,7 @@ from etendue.points import PointSet
 from etendue.surfaces import REACH_OF_PAIRS, box_tree, is_interior
 
 from ..errors import RadiosityError
-from ..lines.generators import box_lines
+from ..lines.generators import GENERATORS, BoxWalls, LineGenerator, box_lines
 from ..parallel import compiled, in_order
 from .parts import Part
 from .regions import Regions
@@ -38,12 +38,19 @@ class Transmits(Protocol):
 
 
 class PartRays:
-    """A part in arrays for the compiled loops: a tree over its primitives, and the matrices into its copies."""
+    """A part in arrays for the compiled loops: a tree over its primitives, and the matrices into its copies.
 
-    def __init__(self, part: Part) -> None:
+    generator: the name of that of the lines. ``surface`` is the area of the convex body that it takes them from."""
+
+    def __init__(self, part: Part, generator: str = BoxWalls.name) -> None:
         self.part = part
         self.own = np.stack(part.bounds)
         self.size = float(np.linalg.norm(self.own[1] - self.own[0]))
+        self._generator: LineGenerator | None = None
+        self.surface = part.box_area
+        if generator != BoxWalls.name:
+            self._generator = GENERATORS[generator](sphere=(self.own.mean(axis=0), self.size / 2))
+            self.surface = self._generator.surface
         patches, children = part.patches, part.children
         self.faces = np.zeros((0, 4, 3))
         self.normals = np.zeros((0, 3)) if patches is None else patches.face_normals
@@ -68,11 +75,19 @@ class PartRays:
             high.append(placed.max(axis=0)[None])
         self.corners, self.links, self.order, self.depth = box_tree(np.concatenate(low), np.concatenate(high))
 
+    def lines(self, u: Array) -> tuple[Array, Array]:
+        """Origins and directions of the lines of points (n, 4)."""
+        if self._generator is None:
+            return box_lines(u, *self.own)
+        made = self._generator.lines(u)
+        return made.origins, made.directions
+
 
 @dataclass(frozen=True)
 class Lists:
     """Stretches of lines through a part; see :func:`.casting.lists`, which makes them.
 
+    ``lines``: number of lines, from a convex body with the area ``surface``.
     ``ends``: (k, 2); ``begins``: (k + 1,) into ``crossings``: (x, 2); both ``None`` without crossings.
     ``transmittance``: (r,) of the regions of the part's own box. ``counted``: (n,) number of stretch ends at each
     patch. For the regions of the own box: ``through`` (r,), the number of lines, and ``hitting`` (r,), the number of
@@ -84,6 +99,7 @@ class Lists:
     part: Part
     regions: Regions
     lines: int
+    surface: float
     ends: NDArray[np.int32]
     begins: Index | None
     crossings: NDArray[np.int32] | None
@@ -159,8 +175,7 @@ def lists_of(
 
     def cast(start: int) -> Any:
         u = points.block(min(_BLOCK, count - start), first + start)
-        origins, directions = box_lines(u, *rays.own)
-        return _loops().lists(origins, directions, *known, transmittances, rays.own, resolution, rays.size, is_root)
+        return _loops().lists(*rays.lines(u), *known, transmittances, rays.own, resolution, rays.size, is_root)
 
     blocks = list(in_order(partial(cast, start) for start in range(0, count, _BLOCK)))
     if any(block[-1] for block in blocks):
@@ -183,6 +198,7 @@ def lists_of(
         part=part,
         regions=regions,
         lines=count,
+        surface=rays.surface,
         ends=ends,
         begins=begins,
         crossings=crossings if len(crossings) else None,

@@ -23,10 +23,12 @@ from etendue.core import (
     setting,
 )
 from etendue.core import Settings as AnySettings
-from etendue.points import OwenSobol, PointSet
+from etendue.points import PointSet
 
 from ..errors import RadiosityError
 from ..lines.engine import warn_of_backs
+from ..lines.generators import SINGLE_LINES
+from ..lines.sequences import LINE_POINTS, line_points
 from ..problem import PatchProblem
 from .exchange import Exchange
 from .firstshot import FirstShots
@@ -51,11 +53,6 @@ _MUCH = 0.05
 MakePoints = Callable[[str, int], PointSet]
 
 
-def even_points(purpose: str, seed: int) -> PointSet:
-    """A scrambled Sobol' sequence."""
-    return OwenSobol(4, seed=seed_key(seed, purpose, 0)[0])
-
-
 @dataclass(frozen=True, kw_only=True)
 class HierarchicalMultipathSettings(AnySettings):
     """Lines of a pass, and resolution of boxes."""
@@ -69,11 +66,21 @@ class HierarchicalMultipathSettings(AnySettings):
     rings: int = setting(2, "rings of directions at each of them", minimum=1)
     iterations: int = setting(8, "times that stored lines are used, at most", minimum=1)
     residual: float = setting(1e-4, "share of the light that may be on its way at the end", minimum=0)
+    points: str = setting("sobol", "what draws lines and rays", choices=tuple(LINE_POINTS))
+    generator: str = setting(
+        "box-walls",
+        "how a line through the whole scene is made of a point; in boxes by box-walls",
+        choices=SINGLE_LINES,
+    )
 
     @property
     def regions(self) -> Regions:
         """The regions of each box."""
         return Regions(self.grid, self.sectors, self.rings)
+
+    def points_for(self, purpose: str, seed: int) -> PointSet:
+        """Points of four dimensions for a purpose and a seed."""
+        return line_points(self.points, seed, purpose)
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,7 @@ class HierarchicalMultipath:
     Light that crosses a box is known by region of the box only: see :class:`Regions`. This bias does not fall with more
     lines, but with finer regions, which need more lines.
 
-    settings: see :class:`HierarchicalMultipathSettings`. points: makes the points of lines and rays.
+    settings: see :class:`HierarchicalMultipathSettings`. points: makes points in place of those of the settings.
     """
 
     name: ClassVar[str] = "hierarchical-multipath"
@@ -117,11 +124,11 @@ class HierarchicalMultipath:
     Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")
 
-    def __init__(self, settings: HierarchicalMultipathSettings | None = None, points: MakePoints = even_points) -> None:
+    def __init__(self, settings: HierarchicalMultipathSettings | None = None, points: MakePoints | None = None) -> None:
         self._options = self._given = settings or HierarchicalMultipathSettings()
         #: Including the number of lines of a pass once :meth:`prepare` has chosen it, since it determines the passes.
         self.settings: AnySettings = self._options
-        self._points = points
+        self._points = points or self._options.points_for
 
     @property
     def samples_per_iteration(self) -> int:
@@ -137,10 +144,11 @@ class HierarchicalMultipath:
         sky = problem.root.patches is not None and bool(problem.root.patches.sky.any())
         if not (any(emits) or sky):
             raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+        *inner, root = self.tree.parts
+        self._rays = {part: PartRays(part) for part in inner} | {root: PartRays(root, self._given.generator)}
         self._options = self.settings = self._given.replace(lines=self._given.lines or self._enough())
         self.lines = self._shared_out()
         self._check_memory()
-        self._rays = {part: PartRays(part) for part in self.tree.parts}
         self._shots = FirstShots(self.tree, self._rays) if self._options.shot and any(emits) else None
 
     def start(self) -> State:
@@ -231,7 +239,7 @@ class HierarchicalMultipath:
             share = options.top if part is self.root else options.inside * self._share(part)
             for child, transform in part.children:
                 area = child.box_area * np.abs(np.linalg.det(transform[:3, :3])) ** (2 / 3)
-                need.append(int(_LINES_PER_REGION * regions / 2 * part.box_area / area / share))
+                need.append(int(_LINES_PER_REGION * regions / 2 * self._rays[part].surface / area / share))
         return max(need)
 
     def _share(self, part: Part) -> float:

@@ -53,14 +53,16 @@ Sphere = tuple[Array, float]
 class LineGenerator(ABC):
     """Lines through patches, from points of the unit cube of four dimensions.
 
-    sphere: the sphere through which lines are cast, by default one around all patches.
+    sphere: the sphere through which lines are cast, by default one around all patches, which are not needed with it.
     """
 
     name: ClassVar[str]
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Castro2002")
 
-    def __init__(self, patches: Patches, sphere: Sphere | None = None) -> None:
-        self.centre, self.radius = patches.sphere if sphere is None else sphere
+    def __init__(self, patches: Patches | None = None, sphere: Sphere | None = None) -> None:
+        found = patches.sphere if sphere is None and patches is not None else sphere
+        assert found is not None, "a generator needs patches or a sphere"
+        self.centre, self.radius = found
         #: Surface area of the convex body from which the lines are sampled.
         self.surface = 4 * np.pi * self.radius**2
 
@@ -221,3 +223,5 @@ def _on_sphere(u: Array, v: Array) -> Array:
 
 
 GENERATORS: dict[str, type[LineGenerator]] = {kind.name: kind for kind in (SpherePairs, BoxWalls, GreatCircle, Bundles)}
+#: Names of the generators whose successive lines are not parallel.
+SINGLE_LINES = tuple(name for name, kind in GENERATORS.items() if kind is not Bundles)

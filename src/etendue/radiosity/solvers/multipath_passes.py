@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from etendue.core import Array, CheckpointError, Iterations, Measurement, Pass, Result, State, seed_key, setting
+from etendue.core import Array, CheckpointError, Iterations, Measurement, Pass, Result, State, setting
 from etendue.core import Settings as AnySettings
-from etendue.points import OwenSobol
 from etendue.surfaces import Patches, RayScene
 
 from ..errors import RadiosityError
 from ..lines.chained import ChainedRays
-from ..lines.engine import LineEngine
+from ..lines.generators import GENERATORS, SINGLE_LINES
+from ..lines.sequences import LINE_POINTS, line_points
 from ..parallel import compiled
 from ..problem import PatchProblem
 from .multipath import LineExchange, Multipath
@@ -27,9 +26,6 @@ _POINTS = _PIECE = 1 << 16
 #: Smallest number of passes from which an error is estimated.
 _LEAST_PASSES = 16
 
-#: Makes the line engine for patches and a seed; successive lines must not be parallel.
-MakeEngine = Callable[[Patches, int], LineEngine]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MultipathSettings(AnySettings):
@@ -37,11 +33,13 @@ class MultipathSettings(AnySettings):
 
     points_per_pass: int = setting(_POINTS, "points of lines of a pass", minimum=1)
     shot_rays: float = setting(0.0, "rays that send the light of small emitters first, 0 for none", minimum=0)
+    points: str = setting("sobol", "what draws the lines", choices=tuple(LINE_POINTS))
+    generator: str = setting("sphere-pairs", "how a line is made of a point", choices=SINGLE_LINES)
 
-
-def even_lines(patches: Patches, seed: int) -> LineEngine:
-    """Lines through pairs of points of the bounding sphere, by a scrambled Sobol' sequence."""
-    return ChainedRays.through(RayScene(patches), OwenSobol(4, seed=seed_key(seed, "lines", 0)[0]))
+    def lines(self, patches: Patches, seed: int) -> ChainedRays:
+        """The lines through patches."""
+        points = line_points(self.points, seed, "lines")
+        return ChainedRays(GENERATORS[self.generator](patches), RayScene(patches), points)
 
 
 class MultipathPasses:
@@ -62,10 +60,9 @@ class MultipathPasses:
     Settings: ClassVar[type[AnySettings]] = MultipathSettings
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")
 
-    def __init__(self, settings: MultipathSettings | None = None, engine: MakeEngine = even_lines) -> None:
+    def __init__(self, settings: MultipathSettings | None = None) -> None:
         self._options = settings or MultipathSettings()
         self.settings: AnySettings = self._options
-        self._make_engine = engine
 
     @property
     def samples_per_iteration(self) -> int:
@@ -73,13 +70,9 @@ class MultipathPasses:
         return self._options.points_per_pass
 
     def prepare(self, problem: PatchProblem, seed: int) -> None:
-        """Build the engine and send the light of small emitters.
-
-        Raises :class:`RadiosityError` if nothing emits, and for an engine whose successive lines are
-        parallel.
-        """
+        """Build the engine and send the light of small emitters. Raises :class:`RadiosityError` if nothing emits."""
         self.patches, self._seed = problem.patches, seed
-        self._engine = self._make_engine(problem.patches, seed)
+        self._engine = self._options.lines(problem.patches, seed)
         self._exchange = LineExchange(self._engine, self.samples_per_iteration, self._shoot(seed))
 
     def start(self) -> State:
@@ -173,5 +166,5 @@ class MultipathPasses:
         emitters = small_emitters(self.patches, 1.0)
         if not emitters.any():
             return None
-        points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
+        points = line_points(self._options.points, seed, "first shot")
         return shot_at_patches(RayScene(self.patches), self._options.shot_rays, points, emitters)

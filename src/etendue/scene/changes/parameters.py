@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, suggest
@@ -60,7 +60,6 @@ class SceneEditor:
 
     scene: mi.Scene
     fixed: bool = False  #: whether positions cannot be edited, because they are not in the file's coordinates
-    _originals: dict[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         import mitsuba as mi
@@ -103,13 +102,8 @@ class SceneEditor:
                 raise OptionError(f"the picture of '{key}' is read with the scene; load it again")
         for key, value in checked.items():
             parameter = self.get(key)
-            self._originals.setdefault(key, parameter.value)
             self._values[key] = for_scene(self._values[key], parameter.kind, value)
         self._values.update()
-
-    def original(self, key: str) -> Value:
-        """The value before the first change in place."""
-        return self._originals.get(key, self.get(key).value)
 
     def _parameter(self, key: str) -> SceneParameter | None:
         owner = self._owners[key]

@@ -11,6 +11,7 @@ discs of a caustic, the area of the whole disc is used.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from etendue.core import copied_to_device, free_memory, is_whole
 from etendue.density import KdTree, Kernel, kernel_of
+from etendue.scene import Material
 
 from ..errors import SurfaceError
 from ..patches import Patches
@@ -113,6 +115,38 @@ class NearestMap:
 
     def irradiance(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool = True) -> Irradiance:
         """See :class:`SurfaceMap`."""
+        known, (flux, squares), scale, lanes = self._density(p, n, active, lambda direction, lanes: 1.0)
+        counted = lanes & dr.any(squares > 0)
+        return Irradiance(flux * scale, dr.select(counted, dr.sqrt(squares) * scale, dr.nan), known)
+
+    def reflected(
+        self, si: mi.SurfaceInteraction3f, n: mi.Normal3f, material: Material, active: mi.Bool | bool = True
+    ) -> tuple[mi.Color3f, mi.Bool]:
+        r"""(radiance towards ``si.wi``, whether the map has a surface there): each particle is reflected by its
+        direction,
+
+        .. math:: L = \sum_i f_s(\omega_i, \omega_o) \, \Phi_i K(d_i^2 / r^2) / \int K dA,
+
+        so that the surface may be glossy. n: geometric normals on the side of ``si.wi``."""
+        import mitsuba as mi
+
+        def brdf(direction: mi.Vector3f, lanes: mi.Bool) -> mi.Color3f:
+            to_light = si.to_local(-direction)
+            f = material.call(mi.BSDF.eval, mi.BSDFContext(), si, to_light, active=lanes)
+            return f / dr.maximum(dr.abs(mi.Frame3f.cos_theta(to_light)), 1e-4)
+
+        known, (light, _), scale, _ = self._density(si.p, n, active, brdf)
+        return light * scale, known
+
+    def _density(
+        self,
+        p: mi.Point3f,
+        n: mi.Normal3f,
+        active: mi.Bool | bool,
+        factor: Callable[[mi.Vector3f, mi.Bool], mi.Color3f | float],
+    ) -> tuple[mi.Bool, tuple[mi.Color3f, mi.Color3f], mi.Float, mi.Bool]:
+        """(whether the map has a surface there; sums over particles as of :meth:`_Tree.total`; one over the area of
+        the disc; lanes with a disc). ``factor``: see there."""
         import mitsuba as mi
 
         count = max(dr.width(p), dr.width(n), dr.width(active))
@@ -125,14 +159,13 @@ class NearestMap:
         squared = self._particles.tree.kth_distance_squared(local, k, OWN**2, place.found & (k > 0))
         dr.eval(squared)
         lanes = place.found & (k > 0) & (squared > 0)
-        flux, squares = self._particles.total(local, n, squared, self.kernel, lanes)
+        sums = self._particles.total(local, n, squared, self.kernel, lanes, factor)
         area = dr.pi * squared
         if self._area is not None:
-            on_surface, _ = self._area.total(local, n, squared, self.kernel, lanes)
+            on_surface, _ = self._area.total(local, n, squared, self.kernel, lanes, lambda direction, lanes: 1.0)
             area = dr.select((area >= self._least_area) & (on_surface.x > 0), on_surface.x, area)
         scale = dr.select(lanes & (area > 0), self._per_area / area, 0.0)
-        counted = lanes & dr.any(squares > 0)
-        return Irradiance(flux * scale, dr.select(counted, dr.sqrt(squares) * scale, dr.nan), place.found)
+        return place.found, sums, scale, lanes
 
 
 def _side_keys(patches: Patches) -> Index:
@@ -155,6 +188,7 @@ class _Tree:
         rows = np.zeros((len(order), 12), np.float32)
         rows[:, :3], rows[:, 4:7] = places[order], at.normal[order]
         rows[:, 8:11] = at.power[order]
+        rows[:, 3::4] = at.direction[order]
         self._packed = copied_to_device(mi.Float, rows)
 
     def total(
@@ -164,9 +198,10 @@ class _Tree:
         squared: mi.Float,
         kernel: Kernel,
         active: mi.Bool,
+        factor: Callable[[mi.Vector3f, mi.Bool], mi.Color3f | float],
     ) -> tuple[mi.Color3f, mi.Color3f]:
         """(sum of the values times the kernel on the disc of this squared radius, sum of the squares of these terms),
-        over points on the same surface."""
+        over points on the same surface. ``factor(direction, lanes)``: of a point, by its direction of flight."""
         import mitsuba as mi
 
         def add(
@@ -177,7 +212,7 @@ class _Tree:
             counts = dr.dot(normal, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE
             counts &= dr.square(height) <= FLAT * FLAT * squared
             term = mi.Color3f(c.x, c.y, c.z) * kernel.on_disc(dr.minimum(distance / squared, 1.0))
-            term = dr.select(counts, term, 0.0)
+            term = dr.select(counts, term * factor(mi.Vector3f(x.w, n.w, c.w), counts), 0.0)
             return state[0] + term, state[1] + dr.square(term)
 
         start = (mi.Color3f(0.0), mi.Color3f(0.0))

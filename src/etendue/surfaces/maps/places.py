@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -101,7 +101,8 @@ class MapSurfaces:
             raise SurfaceError("no particle lies on a surface that can have a map; a mirror or glass has none")
         kept = kept[mapped]
         path = np.asarray(hits.path, np.uint32)
-        return Located(found.position[mapped], found.normal[mapped], found.shape[mapped], power[kept], path[kept])
+        at = found.position[mapped], found.normal[mapped], found.shape[mapped]
+        return Located(*at, power[kept], path[kept], direction[kept])
 
     def uploaded(self, located: Located) -> tuple[mi.Point3f, mi.Normal3f]:
         """Positions and normals on the device."""
@@ -118,23 +119,22 @@ class MapSurfaces:
 
 @dataclass(frozen=True)
 class Located:
-    """Particles on surfaces. ``position``, ``normal``, ``power``: (n, 3), the first in render space, the second on the
-    side of arrival; ``shape``: index in ``scene.shapes()``, ``path``: (n,)."""
+    """Particles on surfaces. ``position``, ``normal``, ``power``, ``direction`` of flight: (n, 3), the first in render
+    space, the second on the side of arrival; ``shape``: index in ``scene.shapes()``, ``path``: (n,)."""
 
     position: Array
     normal: Array
     shape: Index
     power: Array
     path: NDArray[np.uint32]
+    direction: Array
 
     def __len__(self) -> int:
         return len(self.path)
 
     def only(self, chosen: NDArray[Any]) -> Located:
         """The chosen particles."""
-        return Located(
-            self.position[chosen], self.normal[chosen], self.shape[chosen], self.power[chosen], self.path[chosen]
-        )
+        return Located(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
 
 @dataclass(frozen=True)

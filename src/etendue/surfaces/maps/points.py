@@ -46,7 +46,9 @@ def quadrature(patches: Patches, space: RenderSpace) -> tuple[Located, Index]:
     owner, normals = np.repeat(owner, 4), np.repeat(normals, 4, axis=0)
     assert patches.shapes is not None
     power = np.repeat(areas[:, None], 3, axis=1)
-    at = Located(space.from_scene(points), normals, patches.shapes[owner], power, np.zeros(len(owner), np.uint32))
+    at = Located(
+        space.from_scene(points), normals, patches.shapes[owner], power, np.zeros(len(owner), np.uint32), -normals
+    )
     return at, owner
 
 

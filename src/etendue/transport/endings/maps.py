@@ -6,7 +6,8 @@ A path ends at the first diffuse surface after a given number of scatterings, wi
 
 with the throughput alpha and the albedo rho. Mirrors, glass and null surfaces do not count as scatterings: a surface
 seen through them is as far from the map as one that the path sees directly. Diffuse materials have a diffuse and no
-glossy component; at other materials, and where the mirror or glass of a diffuse one is sampled, the path goes on. No
+glossy component; at other materials, and where the mirror or glass of a diffuse one is sampled, the path goes on. If
+the map keeps particles with their directions, paths may end at glossy surfaces, too, which reflect each particle. No
 light point is sampled at the end, since the map contains the direct light [Leeson 2001, sec. 5.7.3].
 """
 
@@ -19,21 +20,29 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.scene import LightTable
-from etendue.surfaces import SurfaceMap
+from etendue.surfaces import NearestMap, SurfaceMap
 
 from ..emission import DirectSample
 from ..guiding.lights import LocalLights
 from ..guiding.walk import GuidedWalk
-from ..scattering import Scattered
+from ..scattering import Evaluated, Scattered
 from ..vertex import WalkVertex
+from ..visibility import Visibility
 from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
 
 
-def light_of_map(surface_map: SurfaceMap, end: MapEnd) -> tuple[mi.Color3f, mi.Bool]:
+def light_of_map(surface_map: SurfaceMap, end: MapEnd, visibility: Visibility) -> tuple[mi.Color3f, mi.Bool]:
     """(contribution of the map to paths whose loop has been evaluated, lanes that end where the map has no surface)."""
-    found = surface_map.irradiance(end.position, end.normal, end.reached)
-    light = end.throughput * found.value * dr.inv_pi
-    return dr.select(end.reached & found.known, light, 0.0), end.reached & ~found.known
+    reflects = end.by_directions if end.by_directions is not None else mi.Bool(False)
+    found = surface_map.irradiance(end.position, end.normal, end.reached & ~reflects)
+    light, known = found.value * dr.inv_pi, found.known
+    if end.ray is not None:
+        assert isinstance(surface_map, NearestMap)
+        here = end.reached & reflects
+        si = visibility.scene.ray_intersect(end.ray, active=here)
+        reflected, there = surface_map.reflected(si, end.normal, visibility.material(si, end.ray), here)
+        light, known = dr.select(reflects, reflected, light), dr.select(reflects, there, known)
+    return dr.select(end.reached & known, end.throughput * light, 0.0), end.reached & ~known
 
 
 @dataclass(kw_only=True)
@@ -41,6 +50,7 @@ class EndingWalker(Walker):
     """Paths end in a map after ``after`` scatterings; the state of the walk has a :class:`MapEnd`."""
 
     after: mi.UInt32  #: opaque
+    by_directions: bool = False  #: whether paths end at glossy surfaces, too: the map reflects particles by directions
 
     def arrive(self, s: SubPath) -> WalkVertex:
         """See :class:`Walker`."""
@@ -52,8 +62,11 @@ class EndingWalker(Walker):
     def ends(self, vertex: WalkVertex) -> mi.Bool:
         """See :class:`Walker`."""
         flags = vertex.bsdf.flags()
-        is_diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & ~mi.has_flag(flags, mi.BSDFFlags.Glossy)
-        return is_diffuse & (vertex.scatterings >= self.after)
+        ends = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & ~mi.has_flag(flags, mi.BSDFFlags.Glossy)
+        if self.by_directions:
+            other = mi.has_flag(flags, mi.BSDFFlags.Delta) | mi.has_flag(flags, mi.BSDFFlags.Transmission)
+            ends |= mi.has_flag(flags, mi.BSDFFlags.GlossyReflection) & ~other
+        return ends & (vertex.scatterings >= self.after)
 
     def light_point(
         self,
@@ -83,15 +96,46 @@ class EndingWalker(Walker):
         chosen = scattered.active & ~scattered.is_delta & ~scattered.is_null
         here = s.active & self.ends(vertex) & dr.select(has_choice, chosen, reflects)
         albedo = vertex.bsdf.call(mi.BSDF.eval_diffuse_reflectance, si, active=here & ~has_choice)
-        albedo = dr.select(has_choice, scattered.weight, albedo)
+        albedo = dr.select(has_choice, scattered.weight, 1.0 if self.by_directions else albedo)
         towards = dr.select(dr.dot(si.n, vertex.incoming) > 0.0, -si.n, si.n)
         depth = vertex.number + ones(has_choice)
         count = s.end.scatterings + ones(chosen)
         end = MapEnd(here, vertex.position, towards, s.throughput * albedo, depth, count)
+        if self.by_directions:
+            end.ray, end.by_directions = mi.Ray3f(s.ray.o, s.ray.d), ~has_choice
         s.end = dr.select(here, end, replace(s.end, scatterings=count))
         factor = super().advance(s, vertex, scattered, source, roulette_by)
         s.active &= ~here
         return factor
+
+
+@dataclass(kw_only=True)
+class EndingInIndirect(EndingWalker):
+    """Paths end in a map without direct light: light points are sampled at their ends, too, and count fully there,
+    since no path goes on to hit a light."""
+
+    def light_point(
+        self,
+        vertex: WalkVertex,
+        source: SampleSource,
+        active: mi.Bool,
+        index: int = 0,
+        lights: LightTable | LocalLights | None = None,
+    ) -> DirectSample:
+        """See :class:`Walker`."""
+        return Walker.light_point(self, vertex, source, active, index, lights)
+
+    def next_event(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        light: DirectSample,
+        f: Evaluated,
+        weight: mi.Float,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Color3f, mi.Bool]:
+        """See :class:`Walker`."""
+        return super().next_event(s, vertex, light, f, dr.select(self.ends(vertex), 1.0, weight), active)
 
 
 @dataclass(kw_only=True)

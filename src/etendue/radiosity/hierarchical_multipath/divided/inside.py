@@ -15,7 +15,7 @@ from ...errors import RadiosityError
 from ..exchange import Exchange
 from ..light import Light, Shot
 from ..lists import Lists, PartRays, lists_of
-from ..method import HierarchicalMultipathSettings, PartProblem, check_memory, even_points
+from ..method import HierarchicalMultipathSettings, PartProblem, check_memory
 from ..parts import Part, Tree
 
 #: A message between processes: words and arrays by name.
@@ -85,7 +85,7 @@ class Inside:
     def _cast(self, message: Message) -> dict[str, Any]:
         regions = self.settings.regions
         for part, number, count in zip(self._parts, self._numbers.tolist(), self._counts.tolist(), strict=True):
-            points = even_points(f"part {number}", self._seed)
+            points = self.settings.points_for(f"part {number}", self._seed)
             made = lists_of(self._rays[part], False, count, regions, self._lists, points, self._iteration * count)
             self._lists[part] = made
         # The part of the boxes is the last part before the root: it contains all others.

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array
-
-from ..parallel import compiled
-from .lists import Lists, PartRays
-from .parts import Part, Tree
-from .regions import Regions
+from etendue.radiosity import Part
+from etendue.radiosity.hierarchical_multipath.lists import Lists, PartRays
+from etendue.radiosity.hierarchical_multipath.parts import Tree
+from etendue.radiosity.hierarchical_multipath.regions import Regions
 
 Index = NDArray[np.int64]
 How = Literal["all", "boxes", "conservative", "listed"]
@@ -142,4 +141,6 @@ def _bounds(ring: int, sector: int, regions: Regions) -> list[tuple[Array, float
 
 
 def _loops() -> Any:
-    return compiled("hierarchical_multipath.plain")
+    from . import plain_loops
+
+    return plain_loops

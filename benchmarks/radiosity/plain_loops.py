@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from .casting import enter, meets, region, slab
+from etendue.radiosity.hierarchical_multipath.casting import enter, meets, region, slab
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

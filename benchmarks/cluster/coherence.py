@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array
-
-from .boxes import BoxGrid
-from .particles import Particles
+from etendue.particles import BoxGrid, Particles
 
 
 def visits(particles: Particles, grid: BoxGrid) -> NDArray[np.int64]:
