@@ -18,7 +18,7 @@ from support.running import go, prepared, run
 from etendue.core import SceneError
 from etendue.integration import Layout, Slot
 from etendue.methods.metropolis.chains import Runner
-from etendue.methods.metropolis.film import BrightnessMap
+from etendue.methods.metropolis.states import BrightnessMap
 from etendue.methods.metropolis.targets import CAP, Contribution, Traced, largest_target
 
 SMALL = {"samples_per_pass": 32, "bootstrap": 1 << 13}

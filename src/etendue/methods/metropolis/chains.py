@@ -34,14 +34,13 @@ from etendue.integration import Move, PrimarySource
 from etendue.points import OwenSobolSource
 from etendue.transport import Splats
 
-from .film import BrightnessMap
-from .states import HALF_BIT, ChainStates, PassResult, Progressed, by_half, drawn, numbers_of
+from .states import HALF_BIT, BrightnessMap, ChainStates, PassResult, Progressed, by_half, drawn, numbers_of
 from .targets import Contribution, Target, Traced, largest_target
 from .walk import GROUPS, Walk
 
-#: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second
-#: factor as long as only one of the halves has found light.
-_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
+#: The bootstrap ends when this share of its least number of samples finds light, at most so many, or when it has grown
+#: by the first factor; by the second one as long as only one of the halves has found light.
+_LIT, _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 / 64, 1 << 12, 8, 64
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -59,6 +58,7 @@ class Runner:
     bootstrap: least number of samples that chains start from.
     sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
     room: bytes that the bootstrap may take on the host.
+    growing_from: number of samples of which its growth is a multiple, where few find light; 0: ``bootstrap``.
     """
 
     target: Target
@@ -68,6 +68,7 @@ class Runner:
     sampler: str
     equalise: bool
     room: float = math.inf
+    growing_from: int = 0
     #: Called with all splats: whether they are of large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
     #: Numbers of the chains in sources (:func:`numbers_of`), and the group of each chain.
@@ -148,7 +149,8 @@ class Runner:
         by about (1 + v) / N in total variation, for N samples of relative variance v; the mean picture times
         the mean target of the same N samples has no such bias [Veach 1997, sec. 11.3.1].
         """
-        lanes = min(_BATCH, self.bootstrap + self.bootstrap % 2)
+        lanes = -(-self.bootstrap // 4) if self.equalise else self.bootstrap  # a fifth batch is for the map
+        lanes = min(_BATCH, lanes + lanes % 2)
         wanted = -(-self.bootstrap // lanes)
         wanted += max(1, wanted // 4) if self.equalise else 0
         parts: list[NDArray[np.float32]] = []  # (x y luminance, contribution, sample)
@@ -181,7 +183,9 @@ class Runner:
     def _goes_on(self, batches: int, wanted: int, lit: Array, lanes: int, parts: Sequence[NDArray[np.float32]]) -> bool:
         """Whether the bootstrap needs a further batch."""
         growth = _ONE_SIDED_GROWTH if lit.any() and not lit.all() else _MOST_GROWTH
-        if batches >= wanted and ((lit.sum() >= _ENOUGH_LIT and lit.all()) or batches >= wanted * growth):
+        most = growth * max(wanted, -(-self.growing_from // lanes))
+        enough = lit.all() and lit.sum() >= min(_LIT * self.bootstrap, _ENOUGH_LIT)
+        if batches >= wanted and (enough or batches >= most):
             return False
         bytes_each = lanes * (_CONTRIBUTION_BYTES * len(parts[0][0]) + _TARGET_BYTES) if parts else 0.0
         if (batches + 1) * bytes_each <= self.room:
