@@ -161,6 +161,7 @@ PROGRAMS = {
                 Benchmark("codecs", "codecs.measure", 3, "Bytes and speed of every codec of particles."),
                 Benchmark("maps", "maps.measure", 3, "What bounded loss adds to maps, beside their noise."),
                 Benchmark("thesis", "thesis.measure", 2, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
+                Benchmark("chains", "chains.measure", 3, "The same of real chains, by the size of their steps."),
             ),
         ),
         Program(
@@ -170,6 +171,8 @@ PROGRAMS = {
                 Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),
                 Benchmark("cures", "cures.measure", 5, "Cures of chains that are drawn to lights which are seen."),
                 Benchmark("mixtures", "mixtures.measure", 5, "Small steps of several sizes in one run, beside one."),
+                Benchmark("steps", "steps.measure", 4, "The size of steps of film Metropolis."),
+                Benchmark("strategies", "steps.strategies", 3, "Light paths, camera paths, pairs of both on the film."),
             ),
         ),
         Program(

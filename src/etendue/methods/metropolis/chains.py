@@ -38,9 +38,9 @@ from .states import HALF_BIT, BrightnessMap, ChainStates, PassResult, Progressed
 from .targets import Contribution, Target, Traced, largest_target
 from .walk import GROUPS, Walk
 
-#: The bootstrap ends when this share of its least number of samples finds light, at most so many, or when it has grown
-#: by the first factor; by the second one as long as only one of the halves has found light.
-_LIT, _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 / 64, 1 << 12, 8, 64
+#: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second
+#: factor as long as only one of the halves has found light.
+_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -58,7 +58,8 @@ class Runner:
     bootstrap: least number of samples that chains start from.
     sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
     room: bytes that the bootstrap may take on the host.
-    growing_from: number of samples of which its growth is a multiple, where few find light; 0: ``bootstrap``.
+    usual: least number of samples of a run with large passes, where ``bootstrap`` is less because this one's are small:
+        it grows as far where few samples find light, but is content with fewer that do; 0: ``bootstrap``.
     """
 
     target: Target
@@ -68,7 +69,7 @@ class Runner:
     sampler: str
     equalise: bool
     room: float = math.inf
-    growing_from: int = 0
+    usual: int = 0
     #: Called with all splats: whether they are of large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
     #: Numbers of the chains in sources (:func:`numbers_of`), and the group of each chain.
@@ -183,8 +184,9 @@ class Runner:
     def _goes_on(self, batches: int, wanted: int, lit: Array, lanes: int, parts: Sequence[NDArray[np.float32]]) -> bool:
         """Whether the bootstrap needs a further batch."""
         growth = _ONE_SIDED_GROWTH if lit.any() and not lit.all() else _MOST_GROWTH
-        most = growth * max(wanted, -(-self.growing_from // lanes))
-        enough = lit.all() and lit.sum() >= min(_LIT * self.bootstrap, _ENOUGH_LIT)
+        usual = max(self.usual, self.bootstrap)
+        most = growth * max(wanted, -(-usual // lanes))
+        enough = lit.all() and lit.sum() >= _ENOUGH_LIT * self.bootstrap / usual
         if batches >= wanted and (enough or batches >= most):
             return False
         bytes_each = lanes * (_CONTRIBUTION_BYTES * len(parts[0][0]) + _TARGET_BYTES) if parts else 0.0

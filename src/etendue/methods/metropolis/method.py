@@ -151,7 +151,7 @@ class MetropolisMethod(Carrying, ImageMethod):
             s.sampler,
             s.equalise,
             _BOOTSTRAP_SHARE * (problem.memory or free_memory() or math.inf),
-            growing_from=s.bootstrap or _BOOTSTRAP,
+            usual=s.bootstrap or _BOOTSTRAP,
         )
         self._carried = self.runner.start(seed)
         count, target, squares = self._carried.found.sum(axis=0)
