@@ -142,6 +142,7 @@ PROGRAMS = {
             (
                 Benchmark("simulate", "scaling.measure", 4, "1 to 10,000 workers under a simulated clock."),
                 Benchmark("schedules", "scaling.schedules", 1, "Static, on demand, stealing: 1 to 16 processors."),
+                Benchmark("processes", "processes.measure", 3, "E3 on processes of this machine, beside simulation."),
                 Benchmark("coherence", "boxes.coherence", 1, "Boxes that paths visit, random and in strata."),
                 Benchmark("divided", "boxes.divided", 3, "A scene in boxes: what is sent, and whether it is the same."),
             ),

@@ -26,12 +26,12 @@ _SHOWN = 4
 def over_samples(
     scenes: Scenes = ALL,
     size: PictureSize = None,
-    samples: Samples = 2048,
-    seeds: Seeds = 1,
-    reference_seconds: ReferenceSeconds = 60.0,
+    samples: Samples = 256,
+    seeds: Seeds = 2,
+    reference_seconds: ReferenceSeconds = 30.0,
     out: Out = OUT,
 ) -> Iterator[Record]:
-    """A table of each scene."""
+    """A table of each scene. The thesis has up to 2048 samples."""
     for name in scenes:
         yield _over_samples(name, size or SIZES[name], samples, seeds, out, reference_seconds)
 
