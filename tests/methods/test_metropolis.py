@@ -19,7 +19,7 @@ from etendue import methods
 from etendue.core import SceneError
 from etendue.engine import Budget, Job, Task
 from etendue.integration import Layout, Slot
-from etendue.methods.metropolis.chains import Runner
+from etendue.methods.metropolis.chains import Runner, bootstrap_within
 from etendue.methods.metropolis.states import BrightnessMap
 from etendue.methods.metropolis.targets import CAP, Contribution, Traced, largest_target
 
@@ -256,13 +256,13 @@ def test_chains_start_from_as_many_samples_as_asked_for(batches, monkeypatch):
 
 
 @pytest.mark.parametrize("equalise", [False, True])
-def test_a_small_bootstrap_is_no_larger_than_asked_for(equalise):
-    """The samples that tell the factors included, but for rounding to even batches."""
+def test_a_bootstrap_of_a_number_of_paths_has_no_more(equalise, monkeypatch):
+    """The samples that tell the factors included; and not many fewer."""
+    monkeypatch.setattr("etendue.methods.metropolis.chains._BATCH", 64)
     scenes.camera()
-    for asked in (2, 100, 1000):
-        runner = replace(runner_of(heavy(), 256, asked), equalise=equalise)
-        traced = 2 * runner.start(1).large
-        assert asked <= traced <= (5 * asked // 4 + 10 if equalise else asked)
+    for paths in (4, 30, 101, 127, 128, 199, 500, 577, 1000):
+        runner = replace(runner_of(heavy(), 256, bootstrap_within(paths, equalise)), equalise=equalise, usual=1 << 18)
+        assert 0.5 * paths < 2 * runner.start(1).large <= paths
 
 
 @pytest.mark.parametrize("method", ["pssmlt", "film_metropolis", "mmlt"])

@@ -150,8 +150,7 @@ class Runner:
         by about (1 + v) / N in total variation, for N samples of relative variance v; the mean picture times
         the mean target of the same N samples has no such bias [Veach 1997, sec. 11.3.1].
         """
-        lanes = -(-self.bootstrap // 4) if self.equalise else self.bootstrap  # a fifth batch is for the map
-        lanes = min(_BATCH, lanes + lanes % 2)
+        lanes = min(_BATCH, self.bootstrap + self.bootstrap % 2)
         wanted = -(-self.bootstrap // lanes)
         wanted += max(1, wanted // 4) if self.equalise else 0
         parts: list[NDArray[np.float32]] = []  # (x y luminance, contribution, sample)
@@ -258,6 +257,16 @@ class Runner:
         for index in range(steps):
             walk.step(seed, (index + 1) * large_steps // steps > index * large_steps // steps)
         return walk.finish(steps, seed)
+
+
+def bootstrap_within(paths: int, equalise: bool) -> int:
+    """The largest :attr:`Runner.bootstrap` with which the bootstrap, together with what tells the factors by film
+    position, has no more than ``paths`` samples where enough of them find light; but two at least."""
+    batches = paths // _BATCH
+    if batches < 1 + equalise:
+        paths //= 1 + equalise
+        return max(2, paths - paths % 2)
+    return (batches - (-(-batches // 5) if equalise else 0)) * _BATCH
 
 
 def _drawn_numbers(targets: Array, counts: Sequence[int], seed: int, purpose: str, step: int) -> mi.UInt32:

@@ -33,7 +33,7 @@ from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
 from ..path import Path
 from .blend import Beside, Blend, Grid
-from .chains import Runner
+from .chains import Runner, bootstrap_within
 from .states import BrightnessMap, ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
 from .walk import IMAGES
@@ -147,7 +147,7 @@ class MetropolisMethod(Carrying, ImageMethod):
             self.make_target(seed),
             (self.camera.width, self.camera.height),
             chains,
-            s.bootstrap or min(_BOOTSTRAP, max(2, paths * 4 // 5 if s.equalise else paths)),
+            s.bootstrap or min(_BOOTSTRAP, bootstrap_within(paths, s.equalise)),
             s.sampler,
             s.equalise,
             _BOOTSTRAP_SHARE * (problem.memory or free_memory() or math.inf),
