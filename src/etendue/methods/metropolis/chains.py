@@ -39,8 +39,8 @@ from .targets import Contribution, Target, Traced, largest_target
 from .walk import GROUPS, Walk
 
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second
-#: factor as long as only one of the halves has found light.
-_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
+#: factor as long as only one of the halves has found light. A small one is content with a share of its samples.
+_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH, _LIT = 1 << 12, 8, 64, 1 / 4
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -185,8 +185,8 @@ class Runner:
         growth = _ONE_SIDED_GROWTH if lit.any() and not lit.all() else _MOST_GROWTH
         usual = max(self.usual, self.bootstrap)
         most = growth * max(wanted, -(-usual // lanes))
-        enough = lit.all() and lit.sum() >= _ENOUGH_LIT * self.bootstrap / usual
-        if batches >= wanted and (enough or batches >= most):
+        enough = _ENOUGH_LIT if usual == self.bootstrap else min(_ENOUGH_LIT, _LIT * self.bootstrap)
+        if batches >= wanted and ((lit.all() and lit.sum() >= enough) or batches >= most):
             return False
         bytes_each = lanes * (_CONTRIBUTION_BYTES * len(parts[0][0]) + _TARGET_BYTES) if parts else 0.0
         if (batches + 1) * bytes_each <= self.room:
