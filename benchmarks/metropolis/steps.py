@@ -5,16 +5,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
+from unittest.mock import patch
 
+import drjit as dr
 import numpy as np
 import typer
 from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import Replica
+from etendue.integration import primary
 from etendue.methods import FilmMetropolis
 from etendue.scene import Problem, load
 
@@ -23,8 +27,9 @@ from ..options import Names, Out, ReferenceSeconds, Seeds, Size
 from .cures import boxed, reference_of
 
 SIZES = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-#: Share of the steps that are large: few, as the chains of the thesis have none; and tuned.
-LARGE = {"2 %": 0.02, "tuned": 0.0}
+#: Small steps by label: whether their distance is uniform up to the size, as in the thesis, or its logarithm, and the
+#: share of large steps: few, as the chains of the thesis have none; and tuned.
+KINDS = {"uniform, 2 % large": (True, 0.02), "log-uniform, large tuned": (False, 0.0)}
 #: Strategies of section 5.7.6 by the setting ``paths``.
 PATHS = ("light", "camera", "bidirectional")
 _PER_PASS = 32
@@ -50,19 +55,20 @@ def measure(
     reference_seconds: ReferenceSeconds = 60.0,
     out: Out = Path("metropolis-output"),
 ) -> Iterator[Record]:
-    """A table of each scene: errors after equally many steps, by their size, with few large steps and with many."""
+    """A table of each scene: errors after equally many steps, by their size, as in the thesis and as ours."""
     for name in scenes:
         problem, halves = load(boxed(name), size=size), reference_of(name, size, reference_seconds, out)
-        settings = {(label, s): {"large_steps": share, "step_size": s} for label, share in LARGE.items() for s in SIZES}
-        settings |= {(label, 0.0): {"large_steps": share} for label, share in LARGE.items()}
         record = Record(
             f"Steps of film Metropolis, {name}, {size[0]}x{size[1]}, {steps} steps a pixel",
-            ("large steps", "size of small ones", "RMS", "relMSE", "accepted"),
+            ("distances", "step size", "RMS", "relMSE", "small steps accepted"),
         )
-        for (label, step), own in settings.items():
-            runs = [_run(problem, own, seed, steps, halves) for seed in range(seeds)]
-            accepted = f"{np.mean([run.accepted for run in runs]):.0%}"
-            record.add(label, f"{step:g}" if step else "tuned", *_errors(runs), accepted)
+        for label, (uniform, share) in KINDS.items():
+            for step in (*SIZES, 0.0):
+                own = {"large_steps": share, "step_size": step}
+                with patch.object(primary, "moved", _moved) if uniform else nullcontext():
+                    runs = [_run(problem, own, seed, steps, halves) for seed in range(seeds)]
+                accepted = f"{np.mean([run.accepted for run in runs]):.0%}"
+                record.add(label, f"{step:g}" if step else "tuned", *_errors(runs), accepted)
         record.notes += _notes(halves, seeds)
         yield record
 
@@ -80,7 +86,7 @@ def strategies(
         problem, halves = load(boxed(name), size=size), reference_of(name, size, reference_seconds, out)
         record = Record(
             f"Paths of film Metropolis, {name}, {size[0]}x{size[1]}, {steps} steps a pixel",
-            ("paths", "RMS", "relMSE", "rays", "CPU s", "RMS at equal CPU time, to camera"),
+            ("paths", "RMS", "relMSE", "rays", "CPU s", "relMSE times CPU, to camera"),
         )
         found: dict[str, list[_Run]] = {name: [] for name in PATHS}
         for seed in range(-1, seeds):  # interleaved; the first round compiles
@@ -89,11 +95,17 @@ def strategies(
         found = {paths: runs[1:] for paths, runs in found.items()}
         plain = found["camera"]
         for paths, runs in found.items():
-            equal = [a.rms / b.rms * (a.cpu / b.cpu) ** 0.5 for a, b in zip(runs, plain, strict=True)]
+            equal = [a.relative * a.cpu / (b.relative * b.cpu) for a, b in zip(runs, plain, strict=True)]
             rays, cpu = (np.mean([getattr(run, field) for run in runs]) for field in ("rays", "cpu"))
             record.add(paths, *_errors(runs), f"{1e-6 * rays:.1f} M", f"{cpu:.1f}", _text(equal, 3))
         record.notes += [*_notes(halves, seeds), "what light paths cannot render, such as mirrors, counts as error"]
         yield record
+
+
+def _moved(x: dr.ArrayBase, u: dr.ArrayBase, size: dr.ArrayBase | float) -> dr.ArrayBase:
+    """:func:`etendue.integration.primary.moved` with a distance that is uniform up to ``size``."""
+    y = x + (2.0 * u - 1.0) * size
+    return dr.minimum(y - dr.floor(y), 1.0 - 2.0**-24)
 
 
 def _run(problem: Problem, own: dict[str, Any], seed: int, steps: int, halves: NDArray[Any]) -> _Run:
