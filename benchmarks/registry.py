@@ -130,7 +130,7 @@ PROGRAMS = {
             "benchmarks.light_chains",
             "Metropolis particles beside independent light paths, and ways to sample emission.",
             (
-                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
+                Benchmark("against", "against.measure", 10, "Standard and Metropolis particles: who wins where."),
                 Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
                 Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
                 Benchmark("distributions", "distributions.measure", 1, "Where particles lie, and how often repeated."),
