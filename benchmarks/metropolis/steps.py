@@ -52,6 +52,7 @@ def measure(
     size: Size = "64x48",
     steps: Steps = 256,
     seeds: Seeds = 4,
+    paths: Annotated[str, typer.Option(help="Paths that the chains mutate.")] = "camera",
     reference_seconds: ReferenceSeconds = 60.0,
     out: Out = Path("metropolis-output"),
 ) -> Iterator[Record]:
@@ -59,12 +60,12 @@ def measure(
     for name in scenes:
         problem, halves = load(boxed(name), size=size), reference_of(name, size, reference_seconds, out)
         record = Record(
-            f"Steps of film Metropolis, {name}, {size[0]}x{size[1]}, {steps} steps a pixel",
+            f"Steps of film Metropolis, {name}, paths={paths}, {size[0]}x{size[1]}, {steps} steps a pixel",
             ("distances", "step size", "RMS", "relMSE", "small steps accepted"),
         )
         for label, (uniform, share) in KINDS.items():
             for step in (*SIZES, 0.0):
-                own = {"large_steps": share, "step_size": step}
+                own = {"paths": paths, "large_steps": share, "step_size": step}
                 with patch.object(primary, "moved", _moved) if uniform else nullcontext():
                     runs = [_run(problem, own, seed, steps, halves) for seed in range(seeds)]
                 accepted = f"{np.mean([run.accepted for run in runs]):.0%}"
