@@ -130,7 +130,7 @@ PROGRAMS = {
             "benchmarks.light_chains",
             "Metropolis particles beside independent light paths, and ways to sample emission.",
             (
-                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
+                Benchmark("against", "against.measure", 10, "Standard and Metropolis particles: who wins where."),
                 Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
                 Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
                 Benchmark("distributions", "distributions.measure", 1, "Where particles lie, and how often repeated."),
@@ -142,6 +142,7 @@ PROGRAMS = {
             (
                 Benchmark("simulate", "scaling.measure", 4, "1 to 10,000 workers under a simulated clock."),
                 Benchmark("schedules", "scaling.schedules", 1, "Static, on demand, stealing: 1 to 16 processors."),
+                Benchmark("processes", "processes.measure", 3, "E3 on processes of this machine, beside simulation."),
                 Benchmark("coherence", "boxes.coherence", 1, "Boxes that paths visit, random and in strata."),
                 Benchmark("divided", "boxes.divided", 3, "A scene in boxes: what is sent, and whether it is the same."),
             ),
@@ -161,6 +162,7 @@ PROGRAMS = {
                 Benchmark("codecs", "codecs.measure", 3, "Bytes and speed of every codec of particles."),
                 Benchmark("maps", "maps.measure", 3, "What bounded loss adds to maps, beside their noise."),
                 Benchmark("thesis", "thesis.measure", 2, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
+                Benchmark("chains", "chains.measure", 3, "The same of real chains, by the size of their steps."),
             ),
         ),
         Program(
@@ -170,6 +172,8 @@ PROGRAMS = {
                 Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),
                 Benchmark("cures", "cures.measure", 5, "Cures of chains that are drawn to lights which are seen."),
                 Benchmark("mixtures", "mixtures.measure", 5, "Small steps of several sizes in one run, beside one."),
+                Benchmark("steps", "steps.measure", 4, "The size of steps of film Metropolis."),
+                Benchmark("strategies", "steps.strategies", 3, "Light paths, camera paths, pairs of both on the film."),
             ),
         ),
         Program(

@@ -15,7 +15,7 @@ from .. import plotting
 from ..measuring import Record, console
 from ..options import Out, ReferenceSeconds, Seconds, Seeds
 from ..racing import TRIM, Entrant, Image, Point, marks, order, race
-from .entrants import PER_PASS, WITHOUT_BSDF, integrand, ours, recipe, the_three
+from .entrants import PER_PASS, WITHOUT_BSDF, integrand, of_the_thesis, ours, recipe
 from .options import ALL, BOXES, OUT, PictureSize, Samples, Scenes
 from .scenes import SIZES, open_scene
 
@@ -26,12 +26,12 @@ _SHOWN = 4
 def over_samples(
     scenes: Scenes = ALL,
     size: PictureSize = None,
-    samples: Samples = 2048,
-    seeds: Seeds = 1,
-    reference_seconds: ReferenceSeconds = 60.0,
+    samples: Samples = 256,
+    seeds: Seeds = 2,
+    reference_seconds: ReferenceSeconds = 30.0,
     out: Out = OUT,
 ) -> Iterator[Record]:
-    """A table of each scene."""
+    """A table of each scene. The thesis has up to 2048 samples."""
     for name in scenes:
         yield _over_samples(name, size or SIZES[name], samples, seeds, out, reference_seconds)
 
@@ -41,10 +41,10 @@ def _over_samples(
 ) -> Record:
     """RMS at growing numbers of samples, the order at each, and a sheet of the pictures."""
     reference = recipe(name).find(size, out, reference_seconds)
-    three = the_three(name)
+    theirs = of_the_thesis(name)
     at = _marks(samples)
-    entrants = [*three, *ours()]
-    sheet = _Sheet([*(entrant.label for entrant in three), entrants[-1].label], len(at))
+    entrants = [*theirs, *ours(name)]
+    sheet = _Sheet([*(entrant.label for entrant in theirs), entrants[-1].label], len(at))
     tracks = race(open_scene(name, size), entrants, reference.image, at, range(seeds), "samples", sheet.add)
     for unit, points in (("samples", plotting.over_samples), ("seconds", plotting.over_time)):
         curves = {label: points(track) for label, track in tracks.items()}
@@ -53,18 +53,27 @@ def _over_samples(
     shown = range(max(0, len(at) - _SHOWN - 2), len(at))
     record = Record(
         f"Convergence, {name}, {_by(size)}, {samples} samples a pixel",
-        ("", *(f"RMS at {at[k]:g}" for k in shown), "to random", "time to random", "all pixels"),
+        (
+            "",
+            *(f"RMS at {at[k]:g}" for k in shown),
+            "to random",
+            "time to random",
+            "all pixels",
+            "all pixels to random",
+        ),
     )
     plain = tracks["random"][-1]
     for label, points in tracks.items():
         end = points[-1]
-        relative = (f"{end.rms / plain.rms:.2f}", f"{end.seconds / plain.seconds:.2f}", f"{end.untrimmed:.4f}")
-        record.add(label, *(f"{points[k].rms:.4f}" for k in shown), *relative)
-    compared = {entrant.label: tracks[entrant.label] for entrant in three}
+        relative = [f"{v:.2f}" for v in (end.rms / plain.rms, end.seconds / plain.seconds)]
+        whole = (f"{end.untrimmed:.4f}", f"{end.untrimmed / plain.untrimmed:.2f}")
+        record.add(label, *(points[k].text for k in shown), *relative, *whole)
+    compared = {entrant.label: tracks[entrant.label] for entrant in theirs}
     record.notes += [
         "best first: " + "; ".join(f"at {at[k]:g} {order(compared, k)}" for k in shown[-_SHOWN:]),
-        *(f"{label}: {overtakes(tracks['random'], tracks[label])}" for label in ("vegas", "stratified")),
-        _integrand(name) + f", {PER_PASS} paths a pixel and pass; stratified explores beside these",
+        *(f"{label}: {overtakes(tracks['random'], points)}" for label, points in compared.items() if label != "random"),
+        _integrand(name) + f", {PER_PASS} paths a pixel and pass; stratified explores, and chains start and have "
+        "independent paths for their scale beside these",
         _errors(seeds, reference.note),
     ]
     return record
@@ -89,7 +98,7 @@ def _equal_time(
     """RMS after the same time, and the pictures side by side."""
     reference = recipe(name).find(size, out, reference_seconds)
     at = marks(seconds, 4)
-    entrants = [*the_three(name), *ours()]
+    entrants = [*of_the_thesis(name), *ours(name)]
     sheet = _Sheet([entrant.label for entrant in entrants], 1)
     tracks = race(
         open_scene(name, size),
@@ -106,7 +115,7 @@ def _equal_time(
     )
     for label, points in tracks.items():
         ratio = points[-1].rms / tracks["random"][-1].rms
-        record.add(label, f"{points[-1].samples:.0f}", *(f"{p.rms:.4f}" for p in points), f"{ratio:.2f}")
+        record.add(label, f"{points[-1].samples:.0f}", *(p.text for p in points), f"{ratio:.2f}")
     record.notes += [_integrand(name), _errors(seeds, reference.note)]
     return record
 

@@ -1,4 +1,5 @@
-"""What takes part in the experiments: random path tracing and the adaptive integrators on the same integrand."""
+"""What takes part in the experiments: random path tracing, the adaptive integrators and Markov chains on the same
+integrand."""
 
 from __future__ import annotations
 
@@ -26,20 +27,27 @@ def integrand(name: str) -> dict[str, Any]:
     }
 
 
-def the_three(name: str) -> list[Entrant]:
-    """Random path tracing, VEGAS and recursive stratification as the thesis compares them, on independent numbers."""
+def of_the_thesis(name: str) -> list[Entrant]:
+    """Random path tracing, VEGAS, recursive stratification and Metropolis sampling on the film as the thesis compares
+    them, on independent numbers. Chains have path tracing of the same integrand beside them, for the scale."""
     common = integrand(name)
     return [
         Entrant("random", "path", common),
         Entrant("vegas", "vegas", common | {"groups": "light; bounce1; bounce2"}),
         Entrant("stratified", "stratified", common | {"parameters": "light1 bounce1"}),
+        Entrant("film Metropolis", "film_metropolis", common),
     ]
 
 
-def ours() -> list[Entrant]:
-    """What we have beside: even numbers, directions by the materials; ``guided`` learns where light comes from."""
+def ours(name: str) -> list[Entrant]:
+    """What we have beside: chains blended with independent paths, on the same integrand; even numbers, directions by
+    the materials; ``guided`` learns where light comes from."""
     common = {"samples_per_pass": PER_PASS}
-    return [Entrant("path, our settings", "path", common), Entrant("guided, our settings", "guided", common)]
+    return [
+        Entrant("pssmlt", "pssmlt", integrand(name)),
+        Entrant("path, our settings", "path", common),
+        Entrant("guided, our settings", "guided", common),
+    ]
 
 
 def recipe(name: str) -> Recipe:

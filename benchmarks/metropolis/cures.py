@@ -60,8 +60,8 @@ def measure(
 ) -> Iterator[Record]:
     """A table of each scene: errors after equally many steps, by cure, and by ``path`` with as many camera paths."""
     for name in scenes:
-        problem = load(_scene(name), size=size)
-        halves = _reference(name, size, reference_seconds, out)
+        problem = load(boxed(name), size=size)
+        halves = reference_of(name, size, reference_seconds, out)
         lights = _lights(name, size)
         if not lights.any() or lights.all():
             raise OptionError(f"the camera must see lights in a part of the picture, but not so in '{name}'")
@@ -74,20 +74,20 @@ def measure(
         yield _record(name, found, size, passes * _PER_PASS, halves, lights)
 
 
-def _scene(name: str) -> dict[str, Any]:
+def boxed(name: str) -> dict[str, Any]:
     """A bundled scene with the box filter, which a histogram of samples is."""
     scene = bundled_scene(name).build()
     scene["sensor"]["film"]["rfilter"] = {"type": "box"}
     return scene
 
 
-def _reference(name: str, size: tuple[int, int], seconds: float, out: Path) -> Array:
+def reference_of(name: str, size: tuple[int, int], seconds: float, out: Path) -> Array:
     """Two independent pictures by ``bpt``, (2, height, width, 3), kept in a file."""
     path = out / f"cures-{name}-{size[0]}x{size[1]}.npy"
     if not path.exists():
         out.mkdir(parents=True, exist_ok=True)
         halves = [
-            render(_scene(name), "bpt", seed=seed, size=size, seconds=seconds / 2).image for seed in _REFERENCE_SEEDS
+            render(boxed(name), "bpt", seed=seed, size=size, seconds=seconds / 2).image for seed in _REFERENCE_SEEDS
         ]
         np.save(path, np.stack(halves))
     made: Array = np.load(path)
@@ -96,7 +96,7 @@ def _reference(name: str, size: tuple[int, int], seconds: float, out: Path) -> A
 
 def _lights(name: str, size: tuple[int, int]) -> Array:
     """Pixels in or next to which lights are seen, (height, width)."""
-    seen = render(_scene(name), "path", size=size, samples=_PILOT, max_depth=1).image.sum(axis=2) > 0.0
+    seen = render(boxed(name), "path", size=size, samples=_PILOT, max_depth=1).image.sum(axis=2) > 0.0
     height, width = seen.shape
     padded = np.pad(seen, 1)
     return np.any([padded[i : i + height, j : j + width] for i in range(3) for j in range(3)], axis=0)

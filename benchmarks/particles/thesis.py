@@ -2,7 +2,8 @@
 
 A buffer of 2 MB of records is coded as it is, or each of its attributes by itself. Independent particles are those of
 light paths. The others are of a toy: a walk on the unit square with uniform steps up to the step size, reflected at the
-border, that stays where it is with probability 0.3, as a Metropolis chain does where it refuses.
+border, that stays where it is with probability 0.3, as a Metropolis chain does where it refuses; real chains are in
+:mod:`.chains`.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from etendue.particles import RAW_BYTES, Codec, Grid, Particles, coder, decode, 
 from ..measuring import Record
 from .tracing import Count, Scene, Traced, traced
 
-_BUFFER = 2 << 20
-_CODERS = ("zlib", "bz2", "rle")
+BUFFER = 2 << 20
+CODERS = ("zlib", "bz2", "rle")
 _STEPS = (0.1, 0.01, 0.001)
 _STAYS = 0.3
-_CHANNELS = 3
+CHANNELS = 3
 
 
 def measure(count: Count = 2_000_000, scene: Scene = "caustics") -> Iterator[Record]:
@@ -37,17 +38,17 @@ def ratios(known: Traced, scene: str) -> Record:
     particles = Particles.of_rows(np.concatenate(known.passes))
     record = Record(
         f"Records of a thesis, {len(particles)} particles of {scene}: packed / unpacked bytes",
-        ("particles", "record", "bytes", *(f"{name}, {form}" for name in _CODERS for form in ("row", "strip"))),
+        ("particles", "record", "bytes", *(f"{name}, {form}" for name in CODERS for form in ("row", "strip"))),
     )
     chains = {f"walk, step {step:g}": _walk(particles, step) for step in _STEPS}
     for label, those in {"independent": particles, **chains}.items():
         few, counts = merged(those)
         for kind in ("diffuse uv", "glossy xyz"):
-            made = records(few, kind, counts, few.path % _CHANNELS)
-            rows = [made.tobytes()[at : at + _BUFFER] for at in range(0, made.nbytes, _BUFFER)]
-            columns = list(strips(made, _BUFFER))
+            made = records(few, kind, counts, few.path % CHANNELS)
+            rows = [made.tobytes()[at : at + BUFFER] for at in range(0, made.nbytes, BUFFER)]
+            columns = list(strips(made, BUFFER))
             cells = []
-            for name in _CODERS:
+            for name in CODERS:
                 encode = coder(name).encode
                 for buffers in (rows, columns):
                     cells.append(f"{sum(len(encode(data)) for data in buffers) / made.nbytes:.3f}")

@@ -35,7 +35,7 @@ def test_scenes_are_lit(name):
     """Every pixel finds light, and it is finite."""
     assert tuple(module("scenes").SCENES) == NAMES == tuple(module("scenes").SIZES)
     problem = module("scenes").open_scene(name, (24, 18))
-    replica = Replica(module("entrants").ours()[0].prepared(problem, 0), 0)
+    replica = Replica(module("entrants").ours(name)[1].prepared(problem, 0), 0)
     total = replica.step(0) + replica.step(1)
     assert total.counters["nonfinite"] == 0
     image = total.mean("image")
@@ -45,8 +45,8 @@ def test_scenes_are_lit(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_entrants_share_the_integrand(name):
-    entrants = module("entrants").the_three(name)
-    assert [e.label for e in entrants] == ["random", "vegas", "stratified"]
+    entrants = module("entrants").of_the_thesis(name)
+    assert [e.label for e in entrants] == ["random", "vegas", "stratified", "film Metropolis"]
     common = module("entrants").integrand(name)
     assert common["bsdf_sampling"] == (name != "cornell-specular")
     for entrant in entrants:

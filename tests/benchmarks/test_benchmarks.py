@@ -28,7 +28,9 @@ def module(name):
     return importlib.import_module(f"benchmarks.{name}")
 
 
-@pytest.mark.parametrize("package", ["", "vcm_thesis", "adaptive", "maps", "particles", "radiosity"])
+@pytest.mark.parametrize(
+    "package", ["", "vcm_thesis", "adaptive", "light_chains", "cluster", "maps", "particles", "metropolis", "radiosity"]
+)
 def test_every_benchmark_is_a_command(package):
     """Its options have the defaults that its function has; ``--help`` says what it measures and for how long."""
     program = module("registry").PROGRAMS[f"benchmarks.{package}".rstrip(".")]

@@ -26,7 +26,7 @@ def test_a_table_of_cures(tmp_path, monkeypatch):
     leave larger errors elsewhere than those that paint the lights later."""
     cures = importlib.import_module("benchmarks.metropolis.cures")
     # A reference that does not depend on the clock.
-    halves = [render(cures._scene("cornell-box"), "bpt", seed=s, size=(16, 16), samples=512).image for s in (7, 8)]
+    halves = [render(cures.boxed("cornell-box"), "bpt", seed=s, size=(16, 16), samples=512).image for s in (7, 8)]
     np.save(tmp_path / "cures-cornell-box-16x16.npy", np.stack(halves))
     words = ["cures", "--scenes", "cornell-box", "--size", "16x16", "--steps", "128", "--seeds", "2"]
     words += ["--out", str(tmp_path), "--record"]
@@ -67,3 +67,16 @@ def test_one_size_is_the_method_itself():
     several, others = mixtures._run(problem, "mmlt", (0.25, 4.0), 3, 2)
     assert np.abs(several / one - 1.0).max() > 0.01 and np.isfinite(several).all()
     assert others[2] == pytest.approx(facts[2], rel=0.1)
+
+
+@pytest.mark.parametrize(("command", "rows"), [("steps", 4), ("strategies", 3)])
+def test_tables_of_steps_and_paths(command, rows, tmp_path, monkeypatch):
+    steps = importlib.import_module("benchmarks.metropolis.steps")
+    monkeypatch.setattr(steps, "SIZES", (0.05,))
+    words = [command, "--scenes", "cornell-box", "--size", "8x8", "--steps", "32", "--seeds", "2"]
+    words += ["--reference-time", "0.5", "--out", str(tmp_path)]
+    (table,) = tables_of("metropolis", words, tmp_path, monkeypatch)
+    assert len(table.rows) == rows
+    first = 2 if command == "steps" else 1
+    errors = [[float(cell.split(" ±")[0]) for cell in row[first : first + 2]] for row in table.rows]
+    assert (np.array(errors) > 0.0).all() and np.isfinite(errors).all()

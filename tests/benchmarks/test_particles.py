@@ -31,6 +31,21 @@ def test_maps(tmp_path, monkeypatch):
     assert all(float(row[6]) < 0.1 for row in record.rows)
 
 
+def test_records_of_real_chains(tmp_path, monkeypatch):
+    """Check 18 of the framework's list, of real chains: strips are smaller than rows, chains than independent
+    particles; neither loses anything."""
+    (table,) = tables_of("particles", ["chains", "--scenes", "cornell-box", "--count", "40000"], tmp_path, monkeypatch)
+    assert [row[0] for row in table.rows] == [
+        "independent",
+        *(f"chains, steps of {s}" for s in ("0.1", "0.01", "0.001")),
+    ]
+    independent, *chains = (list(map(float, row[2:8])) for row in table.rows)
+    for zlib_row, zlib_strip, *_, rle_row, rle_strip in (independent, *chains):
+        assert zlib_strip < zlib_row and rle_strip < rle_row
+    assert all(cells[0] < independent[0] and cells[1] < independent[1] for cells in chains)
+    assert all(int(row[1]) < 40000 for row in table.rows[1:])  # states that repeat are one particle
+
+
 def test_records_of_the_thesis(tmp_path, monkeypatch):
     """Check 18 of the framework's list: strips are smaller than rows, chains than independent particles, small steps
     than large ones; bzip2 mostly at most as large as zlib: so it is for rows, while strips of so few particles have

@@ -34,6 +34,21 @@ def test_a_method_is_fitted_unless_it_was_told(noise, asked, samples, expected):
     assert fitted is method or fitted.pilot == 3.5
 
 
+@pytest.mark.parametrize("samples", [6, 8])
+def test_a_method_that_tells_its_samples_is_prepared_once(noise, monkeypatch, samples):
+    """Preparing may take as long as a pass."""
+    kind, prepared, prepare = type(noise), [], type(noise).prepare
+
+    def counted(method, problem, seed):
+        prepared.append(method)
+        prepare(method, problem, seed)
+
+    monkeypatch.setattr(kind, "prepare", counted)
+    monkeypatch.setattr(kind, "samples_for", lambda method, problem: 4, raising=False)
+    fitted = fit_samples(kind(noise.settings.replace(samples_per_pass=0)), samples, None, 3)
+    assert prepared == [fitted] and fitted.pilot == 3.5
+
+
 @pytest.mark.parametrize(("samples", "passes"), [(8, 8), (64, 16), (40, 20), (1, 1), (1000, 250)])
 def test_a_method_that_learns_has_its_passes(noise, monkeypatch, samples, passes):
     """A fake that chooses four samples a pass and wants sixteen passes."""

@@ -35,6 +35,8 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
 DEPENDENT = ("auto", "guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
 #: Those that trace paths of the lights as well.
 BOTH_WAYS = ("bpt cache", "bpt path", "light")
+#: Those that connect vertices of light paths to the camera, and find nothing else.
+SPLATS = ("light", "film light")
 #: What only the slow table runs.
 MORE = {
     "path power": ("path", {"heuristic": "power"}),
@@ -44,17 +46,24 @@ MORE = {
     "auto": ("auto", {"radius": 0.001}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
     "film_metropolis": ("film_metropolis", {"bootstrap": 1 << 14}),
+    "film light": ("film_metropolis", {"bootstrap": 1 << 14, "paths": "light"}),
+    "film pairs": ("film_metropolis", {"bootstrap": 1 << 14, "paths": "bidirectional"}),
+    "film uniform": ("film_metropolis", {"bootstrap": 1 << 14, "bsdf_sampling": False}),
     "stratified joint": ("stratified", {"parameters": "light1 bounce1", "bsdf_sampling": False}),
 }
 
 
+#: Those whose pictures do not have the scene's filter.
+FILM = tuple(name for name, (method, _) in MORE.items() if method == "film_metropolis")
+
+
 def possible(emitter: str, group: str, method: str, sensor: str = "perspective") -> bool:
     """Whether ``path`` can make the picture, and the method too."""
-    if method == "light" and sensor == "orthographic":
+    if method in SPLATS and sensor == "orthographic":
         return False
     if group != "specular":
         return True
-    return emitter not in scenes.DELTA_EMITTERS and method != "light"
+    return emitter not in scenes.DELTA_EMITTERS and method not in SPLATS
 
 
 def pairs(row: tuple[str, ...]) -> set[tuple[int, str, int, str]]:
@@ -103,8 +112,7 @@ def everything() -> list[tuple[str, str, str, str, str]]:
         turn = [(e + g + m + k) % len(sensors) for k in range(len(sensors))]
         allowed = [k for k in turn if possible(emitter, group, method, sensors[k])]
         if allowed:
-            # Pictures of film_metropolis do not have the scene's filter.
-            rfilter = "box" if method == "film_metropolis" else scenes.FILTERS[(e + allowed[0]) % len(scenes.FILTERS)]
+            rfilter = "box" if method in FILM else scenes.FILTERS[(e + allowed[0]) % len(scenes.FILTERS)]
             rows.append((emitter, group, method, sensors[allowed[0]], rfilter))
     return sorted(rows, key=lambda row: (row[0], row[1], row[3]))  # rows of a scene share its reference
 
@@ -178,8 +186,8 @@ def test_the_cross_has_every_triple_and_all_pairs_with_sensors_and_filters():
         (itertools.product(scenes.SENSORS, scenes.FILTERS), (3, 4)),
     ):
         missing = set(wanted) - {tuple(row[c] for c in columns) for row in rows}
-        # Pictures of film_metropolis do not have the scene's filter.
-        expected = {("light", "orthographic"), *(("film_metropolis", f) for f in scenes.FILTERS if f != "box")}
+        expected = {(name, "orthographic") for name in SPLATS}
+        expected |= {(name, f) for name in FILM for f in scenes.FILTERS if f != "box"}
         assert missing <= expected, missing
 
 

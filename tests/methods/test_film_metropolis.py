@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from support import scenes
-from support.running import Run, go, prepared, run
+from support.running import Run, go, prepared, replicas, run
+from support.statistics import assert_agree
 from support.tables import thinned
 
+from etendue.core import OptionError, UnsupportedError
 from etendue.film import Development, block_average
+from etendue.methods import FilmMetropolis
 from etendue.scene import Problem, load
 
 SMALL = {"samples_per_pass": 64, "bootstrap": 1 << 13}
@@ -55,6 +58,92 @@ def test_the_mean_of_each_channel_is_that_of_path(lights):
     error = np.hypot(found.std(0, ddof=1) / 4.0, path.std(0, ddof=1) / np.sqrt(8))
     assert (error < 0.02 * path.mean(0)).all()
     np.testing.assert_array_less(np.abs(found.mean(0) - path.mean(0)), 4.5 * error)
+
+
+def lamp_and_mirror() -> Problem:
+    """A lamp that is seen twice: by itself, and in a mirror on the floor."""
+    scene = {"type": "scene", "sensor": scenes.camera((0.0, 1.0, 4.0), (0.0, 0.5, 0.0), 45.0)}
+    scene["floor"] = scenes.plate((0, 0, 0), 2.0, True)
+    scene["mirror"] = scenes.plate((0, 0.01, 1.5), 0.3, True) | {"bsdf": {"type": "conductor"}}
+    scene["lamp"] = {
+        "type": "rectangle",
+        "to_world": scenes.transform().translate([0, 1.2, -1]).scale(0.5),
+        "bsdf": scenes.diffuse(0.5, 0.5, 0.5),
+        "emitter": {"type": "area", "radiance": 2.0},
+    }
+    return load(scene)
+
+
+#: Settings, and the method that makes the same picture.
+OTHER_PATHS: dict[str, tuple[dict[str, Any], str]] = {
+    "light": ({"paths": "light"}, "light"),
+    "pairs": ({"paths": "bidirectional"}, "path"),
+    "uniform": ({"bsdf_sampling": False}, "path"),
+    "light, lamps by chains": ({"paths": "light", "lights": "chain"}, "light"),
+    "pairs, lamps by chains": ({"paths": "bidirectional", "lights": "chain"}, "path"),
+    "light, few numbers": ({"paths": "light", "vertices": 1}, "light"),
+}
+
+
+@pytest.mark.parametrize("name", thinned(OTHER_PATHS, ("light", "pairs", "uniform")))
+def test_other_paths_make_the_picture_of_another_method(name):
+    settings, other = OTHER_PATHS[name]
+    problem = lamp_and_mirror()
+    images = replicas(problem, "film_metropolis", 8, 2, 128, **settings)
+    assert_agree(images, run(problem, other, passes=8, samples=256).images, settings)
+
+
+@pytest.mark.parametrize(
+    ("emitter", "group"), thinned([("rectangle", "rough"), ("point", "specular"), ("envmap", "transparent")], [])
+)
+@pytest.mark.parametrize("paths", ["light", "bidirectional"])
+def test_other_paths_among_materials(emitter, group, paths):
+    """Caustics of a point light among them, which camera paths do not find."""
+    problem = scenes.room(emitter, group)
+    images = replicas(problem, "film_metropolis", 8, 2, 256, paths=paths)
+    other = "light" if paths == "light" else "bpt"
+    assert_agree(images, run(problem, other, passes=8, samples=1024).images, (emitter, group, paths))
+
+
+def test_light_paths_find_caustics_that_camera_paths_do_not():
+    """Of a point light under a ball of glass."""
+    problem = scenes.room("point", ("dielectric",))
+    camera, both = (replicas(problem, "film_metropolis", 8, 2, 128, paths=p) for p in ("camera", "bidirectional"))
+    assert_agree(both, run(problem, "bpt", passes=8, samples=512).images)
+    error = np.hypot(*(images.mean(axis=(1, 2)).std(0, ddof=1) / 8**0.5 for images in (camera, both)))
+    assert (both.mean(axis=(0, 1, 2)) - camera.mean(axis=(0, 1, 2)) > 5.0 * error).all()
+
+
+def test_an_independent_estimator_of_the_same_light_is_beside():
+    """It determines the scale. One that finds more light, or samples what chains may not, would be no comparison."""
+    problem = scenes.room("rectangle", scenes.FEW)
+    beside = {
+        str(o): prepared(problem, "film_metropolis", **SMALL, **o)._beside.method
+        for o in ({}, {"paths": "light"}, {"paths": "bidirectional"}, {"bsdf_sampling": False})
+    }
+    assert [m.name for m in beside.values()] == ["bpt", "light", "bpt", "path"]
+    uniform = prepared(problem, "pssmlt", **SMALL, bsdf_sampling=False)._beside.method
+    for method in (beside["{'bsdf_sampling': False}"], uniform):
+        assert method.name == "path" and not method.settings.bsdf_sampling
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"paths": "light", "lights": "split"}, "lights=split needs paths=camera, not paths=light; use lights=later"),
+        ({"paths": "bidirectional", "bsdf_sampling": False}, "bsdf_sampling=false needs paths=camera"),
+    ],
+)
+def test_settings_that_exclude_each_other(settings, message):
+    with pytest.raises(OptionError, match=message):
+        FilmMetropolis.Settings(**settings)
+
+
+def test_light_paths_need_a_sensor_that_points_can_be_connected_to():
+    problem = scenes.room("rectangle", scenes.FEW, sensor="orthographic")
+    with pytest.raises(UnsupportedError, match="'film_metropolis with paths=light' would render a black picture"):
+        prepared(problem, "film_metropolis", **SMALL, paths="light")
+    prepared(problem, "film_metropolis", **SMALL, paths="bidirectional")
 
 
 @pytest.mark.parametrize("lights", ["later", "split"])

@@ -15,10 +15,12 @@ import pytest
 from support import scenes
 from support.running import go, prepared, run
 
+from etendue import methods
 from etendue.core import SceneError
+from etendue.engine import Budget, Job, Task
 from etendue.integration import Layout, Slot
-from etendue.methods.metropolis.chains import Runner
-from etendue.methods.metropolis.film import BrightnessMap
+from etendue.methods.metropolis.chains import Runner, bootstrap_within
+from etendue.methods.metropolis.states import BrightnessMap
 from etendue.methods.metropolis.targets import CAP, Contribution, Traced, largest_target
 
 SMALL = {"samples_per_pass": 32, "bootstrap": 1 << 13}
@@ -39,6 +41,7 @@ OTHERWISE = [
     ("mmlt", {}),
     ("pssmlt", {"large_steps": 0.1, "step_size": 0.02}),
     ("pssmlt", {"chains": 128}),
+    ("pssmlt", {"bsdf_sampling": False}),
     ("pssmlt", {"sampler": "owen"}),
     ("pssmlt", {"estimator": "bidirectional"}),
     ("pssmlt", {"estimator": "bidirectional", "vertices": 2}),
@@ -250,6 +253,34 @@ def test_chains_start_from_as_many_samples_as_asked_for(batches, monkeypatch):
     scenes.camera()
     runner = replace(runner_of(heavy(), 256, batches * 256), equalise=True)
     assert runner.start(1).found[:, 0].sum() == batches * 256
+
+
+@pytest.mark.parametrize("equalise", [False, True])
+def test_a_bootstrap_of_a_number_of_paths_has_no_more(equalise, monkeypatch):
+    """The samples that tell the factors included; and not many fewer."""
+    monkeypatch.setattr("etendue.methods.metropolis.chains._BATCH", 64)
+    scenes.camera()
+    for paths in (4, 30, 101, 127, 128, 199, 500, 577, 1000):
+        runner = replace(runner_of(heavy(), 256, bootstrap_within(paths, equalise)), equalise=equalise, usual=1 << 18)
+        assert 0.5 * paths < 2 * runner.start(1).large <= paths
+
+
+@pytest.mark.parametrize("method", ["pssmlt", "film_metropolis", "mmlt"])
+def test_the_bootstrap_of_a_small_budget_is_no_more_than_its_first_pass(method, monkeypatch):
+    """Of a whole job: the method is not prepared for a larger pass first."""
+    started, start = [], Runner.start
+
+    def counted(runner: Runner, seed: int) -> Any:
+        begun = start(runner, seed)
+        started.append(2 * begun.large)
+        return begun
+
+    monkeypatch.setattr(Runner, "start", counted)
+    problem = scenes.room("rectangle", scenes.FEW, size=(32, 24))
+    job = Job.open(Task(problem.scene, methods.get(method), size=(32, 24), budget=Budget(samples=16)))
+    assert job.method.samples_per_iteration == 16
+    assert sum(started) <= 32 * 24 * 16
+    assert job.method.settings.bootstrap == 0
 
 
 def test_the_bias_of_the_start_is_of_the_target():

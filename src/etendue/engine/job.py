@@ -162,7 +162,9 @@ class Job:
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method: Method = prepared(task.method(task_settings(task, problem)), problem, task.seed)
+        method: Method = task.method(task_settings(task, problem))
+        if budget.samples is None or not hasattr(method, "samples_for"):
+            method = prepared(method, problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
         settle_samples(method)

@@ -209,7 +209,7 @@ class ImageMethod(ABC):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables that all passes share."""
-        if problem.size[0] * problem.size[1] * self._samples(problem) >= _MAX_LANES:
+        if problem.size[0] * problem.size[1] * self.samples_for(problem) >= _MAX_LANES:
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
@@ -234,9 +234,10 @@ class ImageMethod(ABC):
     @property
     def samples_per_iteration(self) -> int:
         """Camera paths per pixel of one pass."""
-        return self._samples(self.problem)
+        return self.samples_for(self.problem)
 
-    def _samples(self, problem: Problem) -> int:
+    def samples_for(self, problem: Problem) -> int:
+        """Camera paths per pixel of one pass; known before :meth:`prepare`."""
         if self.settings.samples_per_pass:
             return int(self.settings.samples_per_pass)
         lanes = self.full_lanes()

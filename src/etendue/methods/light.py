@@ -23,6 +23,7 @@ from etendue.scene import Problem
 from etendue.transport import (
     GUIDE,
     GUIDE_CHOICES,
+    CameraSampler,
     Contribution,
     LearnedEmission,
     LightWalk,
@@ -49,6 +50,15 @@ class LightSettings(ImageSettings):
     guide_emission: str = setting("auto", GUIDE, choices=GUIDE_CHOICES)
 
 
+def require_splats(camera: CameraSampler, method: str) -> None:
+    """Raise :class:`UnsupportedError` for a sensor that points cannot be connected to."""
+    if not camera.can_splat:
+        raise UnsupportedError(
+            f"light paths cannot be connected to this sensor, so '{method}' would render a black picture; use another "
+            "method"
+        )
+
+
 class LightTracing(Carrying, ImageMethod):
     """Light tracing: every vertex of every light path is splatted."""
 
@@ -63,11 +73,7 @@ class LightTracing(Carrying, ImageMethod):
         self._forget_states()
         super().prepare(problem, seed)
         self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
-        if not self.camera.can_splat:
-            raise UnsupportedError(
-                "light paths cannot be connected to this sensor, so 'light' would render a black picture; use another "
-                "method"
-            )
+        require_splats(self.camera, self.name)
 
     _learning: LearnedEmission | None = None
 

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, TypeAlias
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import SampleSource, setting
+from etendue.core import SampleSource, Settings, setting
 from etendue.film import Component
 from etendue.transport import CameraPath, DirectWeights, FirstHits, Proposal, Walker, scatter_camera, scatter_uniform
 
@@ -32,7 +32,21 @@ Trace: TypeAlias = "Callable[[mi.Ray3f, SampleSource, FirstHits | None], CameraP
 
 
 @dataclass(frozen=True)
-class PathSettings(CameraSettings):
+class DirectionSettings(Settings):
+    """Settings of the methods that can sample directions without the material."""
+
+    bsdf_sampling: bool = setting(
+        True, "sample directions from the material; false: uniformly over sphere or hemisphere, with more noise"
+    )
+
+    @property
+    def proposal(self) -> Proposal:
+        """The function that samples directions of camera paths."""
+        return scatter_camera if self.bsdf_sampling else scatter_uniform
+
+
+@dataclass(frozen=True)
+class PathSettings(DirectionSettings, CameraSettings):
     """Settings of the path tracers."""
 
     mode: str = setting(
@@ -46,19 +60,11 @@ class PathSettings(CameraSettings):
         "heuristic of the weights of mode=mis: balance, or power with exponent 2",
         choices=("balance", "power"),
     )
-    bsdf_sampling: bool = setting(
-        True, "sample directions from the material; false: uniformly over sphere or hemisphere, with more noise"
-    )
 
     @property
     def direct_weights(self) -> DirectWeights:
         """The weights w^e and w^d."""
         return DirectWeights(self.mode, self.heuristic)
-
-    @property
-    def proposal(self) -> Proposal:
-        """The function that samples directions."""
-        return scatter_camera if self.bsdf_sampling else scatter_uniform
 
 
 @dataclass(frozen=True)

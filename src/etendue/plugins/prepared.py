@@ -85,7 +85,7 @@ class Prepared:
             shared = {name: getattr(self._settings, name) for name in ImageSettings.names()}
             method = method.in_the_dark(method.in_the_dark.Settings(**shared))
         seed = _pilot_seed(method, seed)
-        fitted: Any = fit_samples(prepared(method, problem, seed), problem.spp, problem, seed)
+        fitted: Any = fit_samples(method, problem.spp, problem, seed)
         settle_samples(fitted)
         return _Kept(problem.sensor, seen, fitted, bool(fitted.carries_on))
 

@@ -109,9 +109,10 @@ class SplatList(Sink):
 class PairTarget:
     """A light sub-path and a camera sub-path, connected with each other and with lights and sensor in all ways."""
 
-    def __init__(self, method: ImageMethod, vertices: int) -> None:
+    def __init__(self, method: ImageMethod, vertices: int, components: bool = False, seen: bool = True) -> None:
+        """``seen``: with lights that the camera sees directly."""
         self._method: ImageMethod = weakref.proxy(method)  # which owns the target
-        self._vertices = vertices
+        self._vertices, self._components, self._seen = vertices, components, seen
         self._techniques = Techniques(splat=method.camera.can_splat, merge=False)
         self._indexed = needs_interaction(method.scene)
         self._per_path = _VERTICES
@@ -131,7 +132,7 @@ class PairTarget:
         splats = None
         if self._techniques.splat:
             u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # not in the layout
-            splats = SplatList(camera=camera, count=self._vertices, u=u, components=method.settings.components)
+            splats = SplatList(camera=camera, count=self._vertices, u=u, components=self._components)
         vertices = LightVertices(self._room(lanes), lanes, self._indexed, connected=True)
         walk: LightWalk = method.walker(LightWalk, **common, sink=splats)
         light_rays, light_bad = walk.trace(lanes, sources["light"], vertices)
@@ -140,8 +141,8 @@ class PairTarget:
         vertices.number(by_path=True)
         one = dr.full(mi.Float, 1.0)
         cache = LightCache(vertices, mi.UInt32(vertices.count), one, dr.opaque(mi.UInt32, lanes), None)
-        sink = CameraSink(split_layers=False, components=method.settings.components)
-        eye: CameraWalk = method.walker(CameraWalk, **common, sink=sink, cache=cache)
+        sink = CameraSink(split_layers=False, components=self._components)
+        eye: CameraWalk = method.walker(CameraWalk, **common, sink=sink, cache=cache, seen=self._seen)
         place = film_place(method, sources["camera"])
         primary = camera.through(place, sources["camera"])
         radiance, rays = eye.follow(primary, dr.zeros(mi.UInt32, lanes), sources["camera"])

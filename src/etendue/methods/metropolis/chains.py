@@ -34,14 +34,13 @@ from etendue.integration import Move, PrimarySource
 from etendue.points import OwenSobolSource
 from etendue.transport import Splats
 
-from .film import BrightnessMap
-from .states import HALF_BIT, ChainStates, PassResult, Progressed, by_half, drawn, numbers_of
+from .states import HALF_BIT, BrightnessMap, ChainStates, PassResult, Progressed, by_half, drawn, numbers_of
 from .targets import Contribution, Target, Traced, largest_target
 from .walk import GROUPS, Walk
 
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second
-#: factor as long as only one of the halves has found light.
-_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
+#: factor as long as only one of the halves has found light. A small one is content with a share of its samples.
+_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH, _LIT = 1 << 12, 8, 64, 1 / 4
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -59,6 +58,8 @@ class Runner:
     bootstrap: least number of samples that chains start from.
     sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
     room: bytes that the bootstrap may take on the host.
+    usual: least number of samples of a run with large passes, where ``bootstrap`` is less because this one's are small:
+        it grows as far where few samples find light, but is content with fewer that do; 0: ``bootstrap``.
     """
 
     target: Target
@@ -68,6 +69,7 @@ class Runner:
     sampler: str
     equalise: bool
     room: float = math.inf
+    usual: int = 0
     #: Called with all splats: whether they are of large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
     #: Numbers of the chains in sources (:func:`numbers_of`), and the group of each chain.
@@ -181,7 +183,10 @@ class Runner:
     def _goes_on(self, batches: int, wanted: int, lit: Array, lanes: int, parts: Sequence[NDArray[np.float32]]) -> bool:
         """Whether the bootstrap needs a further batch."""
         growth = _ONE_SIDED_GROWTH if lit.any() and not lit.all() else _MOST_GROWTH
-        if batches >= wanted and ((lit.sum() >= _ENOUGH_LIT and lit.all()) or batches >= wanted * growth):
+        usual = max(self.usual, self.bootstrap)
+        most = growth * max(wanted, -(-usual // lanes))
+        enough = _ENOUGH_LIT if usual == self.bootstrap else min(_ENOUGH_LIT, _LIT * self.bootstrap)
+        if batches >= wanted and ((lit.all() and lit.sum() >= enough) or batches >= most):
             return False
         bytes_each = lanes * (_CONTRIBUTION_BYTES * len(parts[0][0]) + _TARGET_BYTES) if parts else 0.0
         if (batches + 1) * bytes_each <= self.room:
@@ -252,6 +257,16 @@ class Runner:
         for index in range(steps):
             walk.step(seed, (index + 1) * large_steps // steps > index * large_steps // steps)
         return walk.finish(steps, seed)
+
+
+def bootstrap_within(paths: int, equalise: bool) -> int:
+    """The largest :attr:`Runner.bootstrap` with which the bootstrap, together with what tells the factors by film
+    position, has no more than ``paths`` samples where enough of them find light; but two at least."""
+    batches = paths // _BATCH
+    if batches < 1 + equalise:
+        paths //= 1 + equalise
+        return max(2, paths - paths % 2)
+    return (batches - (-(-batches // 5) if equalise else 0)) * _BATCH
 
 
 def _drawn_numbers(targets: Array, counts: Sequence[int], seed: int, purpose: str, step: int) -> mi.UInt32:

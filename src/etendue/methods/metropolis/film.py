@@ -1,111 +1,177 @@
-"""A factor on the target of chains, by which bright parts of the film get fewer samples."""
+"""What the chains of ``film_metropolis`` sample: camera paths, light paths, or both [Leeson 2001, sec. 5.7.6], and the
+light that they leave out."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from functools import cached_property
-from typing import Any
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
-from etendue.core import RELATIVE_EPSILON, on_device
+from etendue.core import SampleSource
+from etendue.integration import Layout
+from etendue.transport import CameraPath, DirectWeights, LightWalk, Mis, Techniques, Walker
+from etendue.transport import dimensions as dim
 
-#: Samples of the bootstrap in a cell of the map, and most cells along an axis.
-_PER_CELL = 128
-_MOST_CELLS = 64
-#: Contributions are clipped to this many times the mean, so that one of them does not darken a cell.
-_MOST_OVER_MEAN = 50.0
+from ..base import keep_finite
+from ..path import traced
+from .bidirectional import PairTarget, SplatList
+from .targets import ROULETTE, Contribution, Traced, camera_slots, light_slots
 
-
-class BrightnessMap:
-    """A factor on the target of the chains, by film position.
-
-    A target in proportion to luminance gives bright pixels most samples, and dark ones relative errors that grow
-    without limit. If the variance of a pixel of luminance L with n samples is in proportion to L^2 / n, the error
-    measure ``mean(variance / (L^2 + 0.01))`` is the least with n in proportion to L / sqrt(L^2 + 0.01). The factor is
-    therefore ``1 / sqrt(L^2 + 0.01)``, with L from a coarse picture, linear between its cells [Veach 1997, sec. 11.4;
-    Hoberock 2010]. Any positive factor leaves the expectation of the picture unchanged.
-
-    ``values``: (rows, columns), positive.
-    """
-
-    def __init__(self, values: NDArray[np.float32], size: tuple[int, int]) -> None:
-        self.values, self._size = values, size
-        self._device = on_device(mi.Float, np.ascontiguousarray(values).ravel())
-
-    @classmethod
-    def flat(cls, size: tuple[int, int]) -> BrightnessMap:
-        """The factor 1."""
-        return cls(np.ones((1, 1), np.float32), size)
-
-    @classmethod
-    def measured(cls, parts: Sequence[NDArray[np.float32]], size: tuple[int, int]) -> BrightnessMap:
-        """The factor from contributions: each part is an array (3, contributions of a sample, samples) of x and y, in
-        pixels, and luminance."""
-        width, height = size
-        samples = sum(part.shape[2] for part in parts)
-        cells = max(1.0, min(samples / _PER_CELL, width * height / 4))
-        columns = min(_MOST_CELLS, max(1, round(math.sqrt(cells * width / height))))
-        rows = min(_MOST_CELLS, max(1, round(cells / columns)))
-        mean = sum(part[2].sum(dtype=np.float64) for part in parts) / samples
-        sums = np.zeros(rows * columns)
-        for x, y, luminance in parts:
-            column = np.clip(x.ravel() * (columns / width), 0, columns - 1).astype(np.int64)
-            row = np.clip(y.ravel() * (rows / height), 0, rows - 1).astype(np.int64)
-            kept = np.minimum(luminance.ravel(), _MOST_OVER_MEAN * mean)
-            sums += np.bincount(row * columns + column, kept, rows * columns)
-        found = np.asarray(sums * (rows * columns / samples), np.float64).reshape(rows, columns)
-        return cls((1.0 / np.sqrt(_blurred(found) ** 2 + RELATIVE_EPSILON)).astype(np.float32), size)
-
-    @cached_property
-    def of_pixels(self) -> NDArray[np.float64]:
-        """The factor at the centres of the pixels, (height, width)."""
-        width, height = self._size
-        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        return self.on_host(x, y)
-
-    def on_host(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
-        """The factor at film positions."""
-        rows, columns = self.values.shape
-        axes = zip((x, y), (columns, rows), self._size, strict=True)
-        at = [np.clip(p * (n / size) - 0.5, 0.0, n - 1.0) for p, n, size in axes]
-        low = [np.minimum(p.astype(np.int64), n - 1) for p, n in zip(at, (columns, rows), strict=True)]
-        high = [np.minimum(p + 1, n - 1) for p, n in zip(low, (columns, rows), strict=True)]
-        (tx, ty), values = (p - q for p, q in zip(at, low, strict=True)), self.values.astype(np.float64)
-        above = values[low[1], low[0]] * (1.0 - tx) + values[low[1], high[0]] * tx
-        below = values[high[1], low[0]] * (1.0 - tx) + values[high[1], high[0]] * tx
-        result: NDArray[np.float64] = above * (1.0 - ty) + below * ty
-        return result
-
-    def at(self, position: mi.Point2f) -> mi.Float:
-        """The factor at film positions."""
-        rows, columns = self.values.shape
-        if rows * columns == 1:
-            return mi.Float(1.0)
-        low, high, t = [], [], []
-        for p, n, size in zip((position.x, position.y), (columns, rows), self._size, strict=True):
-            p = dr.clip(p * (n / size) - 0.5, 0.0, n - 1.0)
-            cell = dr.minimum(mi.UInt32(p), n - 1)
-            low.append(cell)
-            high.append(dr.minimum(cell + 1, n - 1))
-            t.append(p - mi.Float(cell))
-
-        def value(column: mi.UInt32, row: mi.UInt32) -> mi.Float:
-            return dr.gather(mi.Float, self._device, row * columns + column)
-
-        above = dr.lerp(value(low[0], low[1]), value(high[0], low[1]), t[0])
-        below = dr.lerp(value(low[0], high[1]), value(high[0], high[1]), t[0])
-        return dr.lerp(above, below, t[1])
+if TYPE_CHECKING:
+    from .filmchains import FilmMetropolis
 
 
-def _blurred(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of 3 x 3 cells, the border repeated."""
-    padded = np.pad(values, 1, mode="edge")
-    rows, columns = values.shape
-    shifted: Sequence[NDArray[np.float64]] = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
-    result: NDArray[np.float64] = np.mean(shifted, axis=0)
-    return result
+class _LeftOut(DirectWeights):
+    """Weights of ``path`` without lights that are seen directly; a density of -1 marks edges from the camera."""
+
+    def hit(self, pdf: mi.Float, direct_pdf: mi.Float) -> mi.Float:
+        """See :class:`DirectWeights`."""
+        return dr.select(pdf < 0.0, 0.0, super().hit(dr.maximum(pdf, 0.0), direct_pdf))
+
+
+class FilmTarget:
+    """Camera paths as of ``path``, through a film that is wider than the picture."""
+
+    def __init__(self, method: FilmMetropolis) -> None:
+        self._method: FilmMetropolis = weakref.proxy(method)  # which owns the target
+        end, inner = camera_slots(method)
+        vertices = method.settings.vertices
+        self.layouts: Mapping[str, Layout] = {"camera": Layout(end, [*inner, ROULETTE], vertices)}
+
+    def place(self, source: SampleSource) -> mi.Point2f:
+        """A film position in pixels, uniform over the picture and its margin."""
+        method, u = self._method, source.next_2d(0, dim.FILM)
+        margin = dr.opaque(mi.Float, method.margin)
+        x, y = (v * (1.0 + 2.0 * margin) - margin for v in u)
+        return mi.Point2f(x * method.camera.width, y * method.camera.height)
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """See :class:`Target`."""
+        method, source = self._method, sources["camera"]
+        place = self.place(source)
+        ray, importance = self._primary(place, source)
+        if method.seen_lights == "later":
+            radiance, rays = self._radiance(ray, source, _LeftOut(), pdf=mi.Float(-1.0))
+        elif method.seen_lights == "split":
+            radiance, rays = self._radiance(ray, source, DirectWeights(), active=~self._sees_light(ray))
+        else:
+            radiance, rays = self._radiance(ray, source, DirectWeights())
+        radiance, bad = keep_finite(radiance * importance)
+        return Traced([Contribution(place, radiance)], rays, dr.select(bad, mi.UInt32(1), 0))
+
+    def reads(self) -> Sequence[object]:
+        """See :class:`Target`."""
+        return self._method.tables()
+
+    def had_room(self, wanted: int, lanes: int) -> bool:
+        """See :class:`Target`."""
+        return True
+
+    def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Color3f, mi.UInt32]:
+        """(place, light that the chains leave out times the area of the film, rays)."""
+        place = self.place(source)
+        ray, importance = self._primary(place, source)
+        if self._method.seen_lights == "split":
+            radiance, rays = self._radiance(ray, source, DirectWeights(), active=self._sees_light(ray))
+        else:
+            radiance, rays = self._seen(ray)
+        return place, radiance * importance, rays
+
+    def _primary(self, place: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f]:
+        """(camera ray, factor on its radiance, with the area of the film)."""
+        ray, importance, _ = self._method.camera.through(place, source)
+        return ray, importance * dr.opaque(mi.Float, (1.0 + 2.0 * self._method.margin) ** 2)
+
+    def _radiance(
+        self, ray: mi.Ray3f, source: SampleSource, weights: DirectWeights, active: mi.Bool | bool = True, **own: Any
+    ) -> tuple[mi.Color3f, mi.UInt32]:
+        """(radiance of a path, rays). ``own``: other initial values."""
+        walker = self._method.walker(Walker, proposal=self._method.settings.proposal)
+        path = traced(ray, walker, weights, source, active=(walker.max_edges > 0) & active, **own)
+        return path.radiance, path.rays
+
+    def _seen(self, ray: mi.Ray3f) -> tuple[mi.Color3f, mi.UInt32]:
+        """(light that is seen directly, through null surfaces as well, rays)."""
+        walker = self._method.walker(Walker)
+
+        def cross(s: CameraPath) -> CameraPath:
+            vertex = walker.arrive(s)
+            hit = walker.emission(s, vertex)
+            s.radiance[hit.active] += s.throughput * hit.radiance
+            s.active &= vertex.valid & (s.depth < walker.max_edges)
+            s.active &= mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
+            s.throughput = s.throughput * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=s.active)
+            s.active &= dr.max(s.throughput) > 0.0
+            s.ray, s.travelled, s.depth = vertex.ray(vertex.incoming), vertex.distance, s.depth + 1
+            return s
+
+        path = CameraPath.start(ray, walker.max_edges)
+        path = walker.walk(path, cross, "lights that are seen")
+        return path.radiance, path.rays
+
+    def _sees_light(self, ray: mi.Ray3f) -> mi.Bool:
+        """Whether the first surface on a ray emits towards it, or the environment is seen."""
+        scene = self._method.scene
+        si = scene.ray_intersect(ray)
+        emitter = si.emitter(scene)
+        shines = dr.reinterpret_array(mi.UInt32, emitter) != 0
+        return dr.any(self._method.lights.of(emitter, shines).radiance(si, shines) > 0.0)
+
+
+class LightFilmTarget(FilmTarget):
+    """Light paths as of ``light``, each vertex of which is connected to the camera."""
+
+    def __init__(self, method: FilmMetropolis) -> None:
+        super().__init__(method)
+        end, inner = light_slots(method)
+        self.layouts = {"light": Layout(end, [*inner, ROULETTE], method.settings.vertices)}
+        if method.seen_lights == "chain":
+            self.layouts["camera"] = Layout(camera_slots(method)[0], [], 0)
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """See :class:`Target`."""
+        method, source, camera = self._method, sources["light"], self._method.camera
+        u = source.next_1d(0, dim.SPLAT_SHADOW)  # not in the layout
+        splats = SplatList(camera=camera, count=method.settings.vertices, u=u)
+        techniques = Techniques(emission=0, next_event=0, connection=0, merge=False)
+        mis, dark = Mis(techniques, [0.0], dr.opaque(mi.Float, float(camera.pixels))), dr.opaque(mi.Float, 0.0)
+        walk: LightWalk = method.walker(LightWalk, camera=camera, mis=mis, dark=dark, sink=splats)
+        rays, nonfinite = walk.trace(lanes, source)
+        dr.eval(rays, nonfinite, splats.array)
+        contributions = splats.contributions()
+        if "camera" in sources:
+            place = self.place(sources["camera"])
+            ray, importance = self._primary(place, sources["camera"])
+            seen, seen_rays = self._seen(ray)
+            seen, bad = keep_finite(seen * importance)
+            contributions.append(Contribution(place, seen))
+            rays, nonfinite = rays + seen_rays, nonfinite + dr.select(bad, mi.UInt32(1), 0)
+        return Traced(contributions, rays, nonfinite)
+
+
+class PairFilmTarget(FilmTarget):
+    """Pairs of a light path and a camera path as of :class:`PairTarget`."""
+
+    def __init__(self, method: FilmMetropolis) -> None:
+        super().__init__(method)
+        self._pairs = PairTarget(method, method.settings.vertices, seen=method.seen_lights == "chain")
+        self.layouts = self._pairs.layouts
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """See :class:`Target`."""
+        return self._pairs.trace(sources, lanes)
+
+    def had_room(self, wanted: int, lanes: int) -> bool:
+        """See :class:`Target`."""
+        return self._pairs.had_room(wanted, lanes)
+
+
+#: By the setting ``paths``.
+FILM_TARGETS: Mapping[str, type[FilmTarget]] = {
+    "camera": FilmTarget,
+    "light": LightFilmTarget,
+    "bidirectional": PairFilmTarget,
+}

@@ -1,9 +1,10 @@
 r"""Metropolis samples on the film, developed into pictures of any resolution afterwards.
 
-Chains over camera paths leave samples on the film, a place and a colour each; a picture is the density of their
-colours [Leeson 2001, sec. 5.7.5 to 5.7.8; see :mod:`etendue.film.developing`]. One family of chains samples the
-luminance of paths, and a sample has the colour of its path: a path brings light of all channels, so chains for each
-channel would need three times as many paths, and their independent noise would be coloured.
+Chains over camera paths, light paths or pairs of both (:mod:`.film`) leave samples on the film, a place and a colour
+each; a picture is the density of their colours [Leeson 2001, sec. 5.7.5 to 5.7.8; see :mod:`etendue.film.developing`].
+One family of chains samples the luminance of paths, and a sample has the colour of its path: a path brings light of all
+channels, so chains for each channel would need three times as many paths, and their independent noise would be
+coloured.
 
 Chains make many samples of lights that the camera sees directly, whose pixels need few. Two remedies [Leeson 2001, sec.
 6.2.3]: this light is left out of the chains and painted later, from independent samples (``later``), or all samples in
@@ -12,10 +13,9 @@ the region of the film where lights are seen are independent ones (``split``).
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -29,24 +29,23 @@ from etendue.core import (
     OptionError,
     Record,
     Result,
-    SampleSource,
     SceneError,
     State,
     logger,
     setting,
 )
 from etendue.film import ESTIMATORS, FILM_COLUMNS, Development, PixelFilter
-from etendue.integration import Layout
 from etendue.scene import Problem
-from etendue.transport import CameraPath, DirectWeights, Walker
-from etendue.transport import dimensions as dim
 
 from ..base import ImageMethod, ImageSettings, keep_finite, total
-from ..path import traced
+from ..bidirectional import Bpt
+from ..light import LightTracing, require_splats
+from ..path import DirectionSettings
 from .blend import Blend, brightness, luminance
+from .film import FILM_TARGETS
 from .method import MetropolisMethod, MetropolisSettings, beside_paths
 from .states import PassResult, numbers_of
-from .targets import ROULETTE, Contribution, Target, Traced, camera_slots
+from .targets import Contribution, Target
 
 Rows = NDArray[np.float32]
 
@@ -59,13 +58,20 @@ _PILOT = 16
 
 
 @dataclass(frozen=True)
-class FilmSettings(MetropolisSettings):
+class FilmSettings(DirectionSettings, MetropolisSettings):
     """Settings of ``film_metropolis``."""
 
     equalise: bool = setting(
         False,
         "divide the target of the chains by the brightness of a coarse picture, so that dark parts of the picture get "
         "as many samples as bright ones; false: samples in proportion to luminance",
+    )
+    paths: str = setting(
+        "camera",
+        "paths that the chains mutate: camera paths as of path (camera), light paths as of light, each vertex of which "
+        "is connected to the camera (light), or pairs of both, all of whose vertices are connected with each other "
+        "(bidirectional)",
+        choices=tuple(FILM_TARGETS),
     )
     lights: str = setting(
         "later",
@@ -75,8 +81,8 @@ class FilmSettings(MetropolisSettings):
     )
     margin: float = setting(
         0.02,
-        "width of a margin around the picture in which there are samples, too, as a share of its width and height, so "
-        "that pictures are not darker at the border",
+        "with paths=camera: width of a margin around the picture in which there are samples, too, as a share of its "
+        "width and height, so that pictures are not darker at the border",
         minimum=0.0,
         maximum=0.5,
     )
@@ -100,103 +106,11 @@ class FilmSettings(MetropolisSettings):
             raise OptionError(
                 "film_metropolis keeps whole paths, not components, which for_denoising turns on; use pssmlt"
             )
-
-
-class _LeftOut(DirectWeights):
-    """Weights of ``path`` without lights that are seen directly; a density of -1 marks edges from the camera."""
-
-    def hit(self, pdf: mi.Float, direct_pdf: mi.Float) -> mi.Float:
-        """See :class:`DirectWeights`."""
-        return dr.select(pdf < 0.0, 0.0, super().hit(dr.maximum(pdf, 0.0), direct_pdf))
-
-
-class FilmTarget:
-    """Camera paths as of ``path``, through a film that is wider than the picture."""
-
-    def __init__(self, method: FilmMetropolis) -> None:
-        self._method: FilmMetropolis = weakref.proxy(method)  # which owns the target
-        end, inner = camera_slots(method)
-        vertices = method.settings.vertices
-        self.layouts: Mapping[str, Layout] = {"camera": Layout(end, [*inner, ROULETTE], vertices)}
-
-    def place(self, source: SampleSource) -> mi.Point2f:
-        """A film position in pixels, uniform over the picture and its margin."""
-        method, u = self._method, source.next_2d(0, dim.FILM)
-        margin = dr.opaque(mi.Float, method.settings.margin)
-        x, y = (v * (1.0 + 2.0 * margin) - margin for v in u)
-        return mi.Point2f(x * method.camera.width, y * method.camera.height)
-
-    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
-        """See :class:`Target`."""
-        method, source = self._method, sources["camera"]
-        place = self.place(source)
-        ray, importance = self._primary(place, source)
-        if method.seen_lights == "later":
-            radiance, rays = self._radiance(ray, source, _LeftOut(), pdf=mi.Float(-1.0))
-        elif method.seen_lights == "split":
-            radiance, rays = self._radiance(ray, source, DirectWeights(), active=~self._sees_light(ray))
-        else:
-            radiance, rays = self._radiance(ray, source, DirectWeights())
-        radiance, bad = keep_finite(radiance * importance)
-        return Traced([Contribution(place, radiance)], rays, dr.select(bad, mi.UInt32(1), 0))
-
-    def reads(self) -> Sequence[object]:
-        """See :class:`Target`."""
-        return self._method.tables()
-
-    def had_room(self, wanted: int, lanes: int) -> bool:
-        """See :class:`Target`."""
-        return True
-
-    def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Color3f, mi.UInt32]:
-        """(place, light that the chains leave out times the area of the film, rays)."""
-        place = self.place(source)
-        ray, importance = self._primary(place, source)
-        if self._method.seen_lights == "split":
-            radiance, rays = self._radiance(ray, source, DirectWeights(), active=self._sees_light(ray))
-        else:
-            radiance, rays = self._seen(ray)
-        return place, radiance * importance, rays
-
-    def _primary(self, place: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f]:
-        """(camera ray, factor on its radiance, with the area of the film)."""
-        ray, importance, _ = self._method.camera.through(place, source)
-        return ray, importance * dr.opaque(mi.Float, (1.0 + 2.0 * self._method.settings.margin) ** 2)
-
-    def _radiance(
-        self, ray: mi.Ray3f, source: SampleSource, weights: DirectWeights, active: mi.Bool | bool = True, **own: Any
-    ) -> tuple[mi.Color3f, mi.UInt32]:
-        """(radiance of a path, rays). ``own``: other initial values."""
-        walker = self._method.walker(Walker)
-        path = traced(ray, walker, weights, source, active=(walker.max_edges > 0) & active, **own)
-        return path.radiance, path.rays
-
-    def _seen(self, ray: mi.Ray3f) -> tuple[mi.Color3f, mi.UInt32]:
-        """(light that is seen directly, through null surfaces as well, rays)."""
-        walker = self._method.walker(Walker)
-
-        def cross(s: CameraPath) -> CameraPath:
-            vertex = walker.arrive(s)
-            hit = walker.emission(s, vertex)
-            s.radiance[hit.active] += s.throughput * hit.radiance
-            s.active &= vertex.valid & (s.depth < walker.max_edges)
-            s.active &= mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
-            s.throughput = s.throughput * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=s.active)
-            s.active &= dr.max(s.throughput) > 0.0
-            s.ray, s.travelled, s.depth = vertex.ray(vertex.incoming), vertex.distance, s.depth + 1
-            return s
-
-        path = CameraPath.start(ray, walker.max_edges)
-        path = walker.walk(path, cross, "lights that are seen")
-        return path.radiance, path.rays
-
-    def _sees_light(self, ray: mi.Ray3f) -> mi.Bool:
-        """Whether the first surface on a ray emits towards it, or the environment is seen."""
-        scene = self._method.scene
-        si = scene.ray_intersect(ray)
-        emitter = si.emitter(scene)
-        shines = dr.reinterpret_array(mi.UInt32, emitter) != 0
-        return dr.any(self._method.lights.of(emitter, shines).radiance(si, shines) > 0.0)
+        if self.paths != "camera":
+            if self.lights == "split":
+                raise OptionError(f"lights=split needs paths=camera, not paths={self.paths}; use lights=later")
+            if not self.bsdf_sampling:
+                raise OptionError(f"bsdf_sampling=false needs paths=camera, not paths={self.paths}; leave one out")
 
 
 class FilmMetropolis(MetropolisMethod):
@@ -210,8 +124,15 @@ class FilmMetropolis(MetropolisMethod):
 
     def make_target(self, seed: int) -> Target:
         """See :class:`MetropolisMethod`."""
-        self._film = FilmTarget(self)
+        if self.settings.paths == "light":
+            require_splats(self.camera, self.name + " with paths=light")
+        self._film = FILM_TARGETS[self.settings.paths](self)
         return self._film
+
+    @property
+    def margin(self) -> float:
+        """Width of the margin, as a share of the picture's. Points beyond the film cannot be connected to sensors."""
+        return self.settings.margin if self.settings.paths == "camera" else 0.0
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`MetropolisMethod`. If all light comes directly from lights that are seen, chains sample it."""
@@ -228,7 +149,9 @@ class FilmMetropolis(MetropolisMethod):
 
     def beside(self) -> type[ImageMethod]:
         """See :class:`MetropolisMethod`."""
-        return beside_paths(self)
+        if self.settings.paths == "camera":
+            return beside_paths(self)
+        return LightTracing if self.settings.paths == "light" else Bpt
 
     def _begin_blend(self) -> None:
         """See :class:`MetropolisMethod`. The independent estimator determines the scale only: the picture is made of
@@ -303,15 +226,18 @@ class FilmMetropolis(MetropolisMethod):
         self._blend = replace(self._blend, scale=scale)
         for half, rows in enumerate(halves[False]):
             rows[:, 2:] *= scale.scale[half]
-        kept = np.concatenate([rows[(rows[:, 2:] != 0.0).any(axis=1)] for kind in halves for rows in halves[kind]])
+        kept = np.concatenate([rows for kind in halves for rows in halves[kind]])
         picture = chained * scale.scale[:, None, None, None] + others
         return picture[None], {FILM: Record.single(kept, iteration)}
 
     @staticmethod
     def _by_half(parts: Sequence[Rows]) -> list[Rows]:
-        """The rows of each half; the first part of each array belongs to the first half."""
-        empty = np.zeros((0, FILM_COLUMNS), np.float32)
-        return [np.concatenate([empty, *(np.split(rows, 2)[half] for rows in parts)]) for half in range(2)]
+        """The rows of each half that are not black; the first part of each array belongs to the first half."""
+        halves: list[list[Rows]] = [[np.zeros((0, FILM_COLUMNS), np.float32)] for _ in range(2)]
+        for rows in parts:
+            for half, own in zip(halves, np.split(rows, 2), strict=True):
+                half.append(own[(own[:, 2:] != 0.0).any(axis=1)])
+        return [np.concatenate(half) for half in halves]
 
     def _painted(self, iteration: int, seed: int, count: float, counters: dict[str, float]) -> Rows:
         """Rows of independent samples of the light that chains leave out, weighted as samples of chains; each half

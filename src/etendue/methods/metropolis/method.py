@@ -33,9 +33,8 @@ from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
 from ..path import Path
 from .blend import Beside, Blend, Grid
-from .chains import Runner
-from .film import BrightnessMap
-from .states import ChainStates, PassResult, Progressed
+from .chains import Runner, bootstrap_within
+from .states import BrightnessMap, ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
 from .walk import IMAGES
 
@@ -43,7 +42,8 @@ from .walk import IMAGES
 #: and least steps of a pass.
 _MOST_CHAINS, _MOST_CPU_CHAINS = 1 << 16, 1 << 15
 _STEPS = 8
-#: Share of the memory that the bootstrap may take.
+#: Most samples of the bootstrap that is not given, and share of the memory that it may take.
+_BOOTSTRAP = 1 << 18
 _BOOTSTRAP_SHARE = 0.25
 #: Passes in which the steps are tuned.
 TUNING = 16
@@ -66,8 +66,8 @@ _LONGEST = 16
 
 def beside_paths(method: ImageMethod) -> type[ImageMethod]:
     """The estimator beside chains over camera paths: ``bpt``, but ``path`` in scenes with lights that no ray can hit,
-    whose light through mirrors and glass only ``bpt`` finds."""
-    return Path if method.lights.has_delta else Bpt
+    whose light through mirrors and glass only ``bpt`` finds, and where directions are not sampled by materials."""
+    return Path if method.lights.has_delta or not method.settings.bsdf_sampling else Bpt
 
 
 def halves_as_layers(pictures: Array, name: str = "image") -> dict[str, Array]:
@@ -86,7 +86,10 @@ class MetropolisSettings(ImageSettings):
         maximum=1 << 20,
     )
     bootstrap: int = setting(
-        1 << 18, "independent samples from which the first states of the chains are drawn, at least", minimum=2
+        0,
+        "independent samples from which the first states of the chains are drawn, at least; 0: as many as the first "
+        "pass has paths, up to 262144",
+        minimum=0,
     )
     large_steps: float = setting(
         0.0,
@@ -133,7 +136,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._forget_states()
         super().prepare(problem, seed)
         s = self.settings
-        samples = self._samples(problem)
+        samples = self.samples_for(problem)
         paths = self.camera.pixels * samples
         is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
         most = _MOST_CPU_CHAINS if is_cpu else _MOST_CHAINS
@@ -144,10 +147,11 @@ class MetropolisMethod(Carrying, ImageMethod):
             self.make_target(seed),
             (self.camera.width, self.camera.height),
             chains,
-            s.bootstrap,
+            s.bootstrap or min(_BOOTSTRAP, bootstrap_within(paths, s.equalise)),
             s.sampler,
             s.equalise,
             _BOOTSTRAP_SHARE * (problem.memory or free_memory() or math.inf),
+            usual=s.bootstrap or _BOOTSTRAP,
         )
         self._carried = self.runner.start(seed)
         count, target, squares = self._carried.found.sum(axis=0)
@@ -164,9 +168,10 @@ class MetropolisMethod(Carrying, ImageMethod):
         )
         self._passes = 0
         kind = self.beside()
-        shared = ("max_depth", "sampler", "scrambling", "reconstruction", "components")
-        same = {name: getattr(s, name) for name in shared}
-        if kind is Bpt:
+        shared = ("max_depth", "sampler", "scrambling", "reconstruction", "components", "bsdf_sampling")
+        known = kind.Settings.names()
+        same = {name: getattr(s, name) for name in shared if name in known and hasattr(s, name)}
+        if "guide_emission" in known:
             same["guide_emission"] = "off"  # its passes do not depend on each other
         independent = kind(kind.Settings(samples_per_pass=max(1, round(_BESIDE * samples)), **same))
         independent.prepare(problem, seed)

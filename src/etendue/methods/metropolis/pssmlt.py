@@ -12,17 +12,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from etendue.core import setting
+from etendue.core import OptionError, setting
 
 from ..base import ImageMethod, ImageSettings
 from ..bidirectional import Bpt
+from ..path import DirectionSettings
 from .bidirectional import PairTarget
 from .method import MetropolisMethod, MetropolisSettings, beside_paths
 from .targets import PathTarget, Target
 
 
 @dataclass(frozen=True)
-class PssmltSettings(MetropolisSettings):
+class PssmltSettings(DirectionSettings, MetropolisSettings):
     """Settings of ``pssmlt``."""
 
     estimator: str = setting(
@@ -31,6 +32,11 @@ class PssmltSettings(MetropolisSettings):
         "of whose vertices are connected with each other (bidirectional)",
         choices=("path", "bidirectional"),
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.estimator != "path" and not self.bsdf_sampling:
+            raise OptionError("bsdf_sampling=false is possible with estimator=path only; leave one of them out")
 
 
 class Pssmlt(MetropolisMethod):
@@ -53,5 +59,7 @@ class Pssmlt(MetropolisMethod):
 
     def make_target(self, seed: int) -> Target:
         """See :class:`MetropolisMethod`."""
-        vertices = self.settings.vertices
-        return PairTarget(self, vertices) if self.settings.estimator == "bidirectional" else PathTarget(self, vertices)
+        o = self.settings
+        if o.estimator == "bidirectional":
+            return PairTarget(self, o.vertices, o.components)
+        return PathTarget(self, o.vertices)

@@ -133,7 +133,13 @@ class PathTarget:
         method, source = self._method, sources["camera"]
         place = film_place(method, source)
         ray, importance, _ = method.camera.through(place, source)
-        path = traced(ray, method.walker(Walker), DirectWeights(), source, **method.path_fields())
+        path = traced(
+            ray,
+            method.walker(Walker, proposal=method.settings.proposal),
+            DirectWeights(),
+            source,
+            **method.path_fields(),
+        )
         path.weigh(importance)
         contributions, bad = found_by(path, place)
         return Traced(contributions, path.rays, dr.select(bad, mi.UInt32(1), 0))

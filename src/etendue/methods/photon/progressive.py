@@ -177,5 +177,6 @@ class Ppm(Sppm):
     citations: ClassVar[tuple[str, ...]] = ("Hachisuka2008", "Jensen1996")
     fixed_points = True
 
-    def _samples(self, problem: Problem) -> int:
-        return int(self.settings.samples_per_pass) or max(_LEAST_POINTS, super()._samples(problem))
+    def samples_for(self, problem: Problem) -> int:
+        """See :class:`ImageMethod`."""
+        return int(self.settings.samples_per_pass) or max(_LEAST_POINTS, super().samples_for(problem))

@@ -57,6 +57,7 @@ class CameraWalk(BidirectionalWalk):
     # The rest of a path costs less than a new path with its light paths; measured on ten scenes.
     survival: float = 2.0
     sink: CameraSink
+    seen: bool = True  #: whether lights that the camera sees directly contribute
     cache: LightCache | None = None
     gather: Gather | None = None
     moments: Moments | None = None
@@ -173,6 +174,8 @@ class CameraWalk(BidirectionalWalk):
     def _emission(self, s: _State, vertex: WalkVertex, complete: Carried) -> None:
         """s = 0 [Georgiev 2012b, eq. 43]. ``complete``: d_vc for lights that next event does not find."""
         hit = self.emission(s, vertex)
+        if not self.seen:
+            hit.active &= self.number(s) > 1
         number, d_vc = self.number(s), s.d_vc
         if s.left is not None:
             d_vc = dr.select(hit.area_density > 0.0, d_vc, complete)
