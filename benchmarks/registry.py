@@ -144,6 +144,7 @@ PROGRAMS = {
                 Benchmark("schedules", "scaling.schedules", 1, "Static, on demand, stealing: 1 to 16 processors."),
                 Benchmark("processes", "processes.measure", 3, "E3 on processes of this machine, beside simulation."),
                 Benchmark("coherence", "boxes.coherence", 1, "Boxes that paths visit, random and in strata."),
+                Benchmark("voxels", "voxels.measure", 2, "Directions by occupied voxels, beside strata."),
                 Benchmark("divided", "boxes.divided", 3, "A scene in boxes: what is sent, and whether it is the same."),
             ),
         ),
