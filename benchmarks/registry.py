@@ -190,6 +190,7 @@ PROGRAMS = {
                 Benchmark("finishing", "ambient.finishing", 1, "Solvers that stop early, with and without the terms."),
                 Benchmark("hierarchy", "hierarchy.measure", 8, "Form factors by lines in a hierarchy of spheres."),
                 Benchmark("box-tests", "boxes.tests", 1, "Ray-polygon tests of multipath with and without boxes."),
+                Benchmark("box-memory", "boxes.memory", 1, "Bytes of the lists of lines around boxes and in them."),
                 Benchmark("box-errors", "boxes.errors", 10, "Error of multipath with boxes, by point sequence."),
                 Benchmark("box-bias", "boxes.bias", 3, "The bias of boxes, by distance and resolution."),
                 Benchmark("box-shares", "shares.measure", 4, "Lines of boxes by fixed shares, area and information."),

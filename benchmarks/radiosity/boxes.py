@@ -197,6 +197,33 @@ def _from_lamp(patches: Patches, u: Array) -> tuple[Array, Array]:
     return origin + 1e-6 * normal, ways
 
 
+def memory(
+    scenes: Rooms = BOTH,
+    lines: Annotated[int, typer.Option(min=1, help="N.")] = 8_000_000,
+    out: Out = OUT,
+) -> Record:
+    """Bytes of the lists of lines (section 5.5 of the thesis)."""
+    record = Record(
+        f"Memory of lists, N = {lines}", ("", "lines around boxes", "bytes each", "in them", "bytes each", "MB")
+    )
+    for name in scenes:
+        method = Room.of(name).method(True, lines)
+        lists = method.cast_lines()
+        rows = []
+        for is_root in (True, False):
+            parts = [part for part in lists if (part is method.root) == is_root]
+            count, size = (
+                sum(values) for values in zip(*((method.lines[p], lists[p].nbytes) for p in parts), strict=True)
+            )
+            rows.append((count, size))
+        cells = [text for count, size in rows for text in (f"{count}", f"{size / count:.1f}")]
+        record.add(name, *cells, f"{sum(size for _, size in rows) / 1e6:.0f}")
+    record.notes.append(
+        "thesis: 6 million lines around boxes and 1.2 million in them take about 170 MB: 20 and 40 bytes"
+    )
+    return record
+
+
 def errors(
     scenes: Rooms = BOTH,
     sequences: Annotated[
