@@ -11,7 +11,8 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
@@ -152,6 +153,21 @@ def _program(script: Path) -> str:
     return ".".join(folder.relative_to(ROOT).parts) if inside else str(script)
 
 
+#: Lists that published tables are added to.
+_KEPT: list[list[Record]] = []
+
+
+@contextmanager
+def published() -> Iterator[list[Record]]:
+    """The tables that are published in the block."""
+    kept: list[Record] = []
+    _KEPT.append(kept)
+    try:
+        yield kept
+    finally:
+        _KEPT.remove(kept)
+
+
 @dataclass
 class Record:
     """A table with what must be known to read it; printed, and on request appended to a file."""
@@ -167,6 +183,8 @@ class Record:
 
     def publish(self, variant: str, results: Path | None = None) -> None:
         """Print the table, and append it to the file ``results``, if one is given."""
+        for kept in _KEPT:
+            kept.append(self)
         console.print(self.title, style="italic")
         table = Table(box=None, pad_edge=False)
         for column in self.columns:

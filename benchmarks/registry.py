@@ -59,6 +59,7 @@ PROGRAMS = {
             "benchmarks",
             "Speed, memory and quality of the methods.",
             (
+                Benchmark("theses", "theses.measure", 60, "Every experiment of the theses, small.", in_all=False),
                 Benchmark("cost", "cost.measure", 2, "Seconds of a pass, and of settings, relative to Mitsuba's path."),
                 Benchmark("renders", "renders.measure", 1, "Pictures of one sample by mi.render, prepared and anew."),
                 Benchmark("first-pass", "fresh.first_pass", 1, "The first pass, with and without compiled kernels."),
