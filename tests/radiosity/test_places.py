@@ -9,6 +9,7 @@ import pytest
 from support.patches import room
 from support.scenes import diffuse, rgb
 
+from etendue.jobs import picture
 from etendue.points import OwenSobol
 from etendue.radiosity import (
     ABuffer,
@@ -19,7 +20,6 @@ from etendue.radiosity import (
     Solution,
     atlas,
     lightmap,
-    picture,
     read_patches,
     save_solution,
     scene_patches,

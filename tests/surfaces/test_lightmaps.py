@@ -10,6 +10,7 @@ from support.scenes import camera, diffuse
 
 from etendue.core import BackendError, SceneError
 from etendue.film import read_exr
+from etendue.jobs import picture
 from etendue.radiosity import (
     Patches,
     RadiosityError,
@@ -19,7 +20,6 @@ from etendue.radiosity import (
     atlas,
     gltf_mesh,
     lightmap,
-    picture,
     save_lightmap,
     save_textured_mesh,
     scene_mesh,
