@@ -73,7 +73,9 @@ class Groups:
         finite = [row for row, lamp in enumerate(lamps) if not lamp.is_infinite]
         members = [[row] for row in infinite] if len(infinite) <= MOST_GROUPS // 4 else [infinite]
         places = np.array([lamps[row].centre for row in finite]).reshape(-1, 3)
-        members += [[finite[i] for i in part] for part in _parted(places, MOST_GROUPS - len(members))]
+        parts = [[finite[i] for i in part] for part in _parted(places, MOST_GROUPS - len(members))]
+        # In an order that does not depend on the places, so that lamps may be moved without other kernels.
+        members += sorted(parts, key=lambda rows: (len(rows) > 1 or not any(lamps[rows[0]].axis), min(rows)))
         together = [_together([lamps[row] for row in rows]) for rows in members]
         brightest = max(lamp.power for lamp in together) or 1.0
         #: Of each group on the device: numbers that differ are opaque, so that kernels do not contain them.
