@@ -72,6 +72,7 @@ PROGRAMS = {
                 Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
                 Benchmark("filters", "filters.measure", 3, "Cost of a pass by filter, and edges after few samples."),
                 Benchmark("layers", "layers.measure", 3, "Cost of layers of first hits and of components."),
+                Benchmark("mipmaps", "mipmaps.measure", 2, "Textures averaged over the footprint of a pixel."),
                 Benchmark("filters-display", "denoising.filters", 1, "Time of the filters of pictures."),
                 Benchmark(
                     "denoise", "denoised.measure", 38, "Denoised after 5 s against raw after 40 s.", in_all=False

@@ -313,6 +313,8 @@ class ImageMethod(ABC):
         """A walker of class ``kind`` for the prepared scene; ``own``: fields to add, or to override."""
         common: dict[str, Any] = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
         common["rays"] = self.recording.light if issubclass(kind, LightWalk) else self.recording.camera
+        if self.visibility.mipmaps and not issubclass(kind, LightWalk):
+            common["footprint"] = lambda p: self.camera.footprint(p, mi.Point2f(0.5))
         return kind(**(common | {"rr_depth": self.settings.rr_depth} | own))
 
     def camera_numbers(

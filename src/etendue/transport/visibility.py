@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import Material, bsdfs, materials
+from etendue.scene import Material, bsdfs, graph, materials
 
 
 class Visibility:
@@ -25,6 +25,8 @@ class Visibility:
         self.bsdfs = bsdfs(scene)
         found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
         self.transparent = any(map(_passes, found))
+        #: Whether textures are averaged over the footprint of a pixel.
+        self.mipmaps = any(graph.plugin_name(node) == "mipmap" for node in materials(scene))
         self.specular = any(mi.has_flag(node.flags(), mi.BSDFFlags.Delta) for node in found)
         #: The opaque meshes alone, which block nearly all blocked shadow rays: an any-hit test costs less than the
         #: closest intersection. Not on a GPU, where a kernel traces rays in one scene only.

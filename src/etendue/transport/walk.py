@@ -167,6 +167,8 @@ class Walker:
     by_albedo: bool = False  #: roulette by the reflectance of each vertex, not by the throughput of the path
     proposal: Proposal = scatter_camera  #: samples directions
     departures: Departures | None = None  #: learned directions of emission, for its densities
+    #: Side of a pixel's footprint at the first hit, on a plane that faces the sensor; None if no texture asks for it.
+    footprint: Callable[[mi.Point3f], mi.Float] | None = None
     first: FirstHits | None = None  #: records the surfaces that the first edges hit
     rays: WalkRecorder | None = None  #: records all edges
 
@@ -179,6 +181,8 @@ class Walker:
         hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
+        if self.footprint is not None:
+            set_footprint(si, s.ray.d, dr.select(s.depth == 1, self.footprint(si.p), 0.0))
         vertex = WalkVertex(
             si=si,
             bsdf=self.visibility.material(si, s.ray),
@@ -291,6 +295,26 @@ class Walker:
         if self.rays is not None:
             self.rays.scattered(vertex, scattered, s.active)
         return factor
+
+
+def set_footprint(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, width: mi.Float) -> None:
+    """Set ``duv_dx`` and ``duv_dy`` to the footprint of a square beam of a width on the surface that it meets: its
+    shorter and its longer side."""
+    cos = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
+    across = dr.cross(si.n, direction)
+    size = dr.norm(across)
+    across = dr.select(size > 1e-3, across / size, mi.Frame3f(si.n).s)
+    along = dr.cross(si.n, across)
+    # Least squares for across = du dp_du + dv dp_dv.
+    uu, uv, vv = dr.squared_norm(si.dp_du), dr.dot(si.dp_du, si.dp_dv), dr.squared_norm(si.dp_dv)
+    determinant = uu * vv - uv * uv
+    scale = dr.select(determinant > 0.0, dr.rcp(determinant), 0.0)
+
+    def on_surface(offset: mi.Vector3f) -> mi.Vector2f:
+        u, v = dr.dot(si.dp_du, offset), dr.dot(si.dp_dv, offset)
+        return mi.Vector2f(vv * u - uv * v, uu * v - uv * u) * scale
+
+    si.duv_dx, si.duv_dy = on_surface(across * width), on_surface(along * (width / cos))
 
 
 def ones(mask: mi.Bool) -> mi.UInt32:

@@ -1,5 +1,5 @@
-"""étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``; and
-materials from functions.
+"""étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``, texture
+``mipmap``; and materials from functions.
 
 Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
 its base class depends on the variant.
@@ -15,6 +15,7 @@ from etendue.core import check_variant
 
 from .composed import composed_bsdf
 from .focusarea import make_focusarea
+from .mipmap import make_mipmap
 from .phong import PhongLobe
 from .reflection import make_reflection
 from .spherical import make_spherical
@@ -28,6 +29,7 @@ __all__ = ["composed_bsdf", "register"]
 _BSDFS = {"phong": lambda: make_reflection(PhongLobe), "ward": lambda: make_reflection(WardLobe)}
 _EMITTERS = {"focusarea": make_focusarea}
 _SENSORS = {"spherical": make_spherical}
+_TEXTURES = {"mipmap": make_mipmap}
 
 
 def register() -> None:
@@ -37,7 +39,12 @@ def register() -> None:
     """
     import mitsuba as mi
 
-    tables = ((mi.register_bsdf, _BSDFS), (mi.register_emitter, _EMITTERS), (mi.register_sensor, _SENSORS))
+    tables = (
+        (mi.register_bsdf, _BSDFS),
+        (mi.register_emitter, _EMITTERS),
+        (mi.register_sensor, _SENSORS),
+        (mi.register_texture, _TEXTURES),
+    )
     for announce, table in tables:
         for name, make in table.items():
             announce(name, _constructor(make))
@@ -48,7 +55,12 @@ def object_type(name: str) -> mi.ObjectType | None:
     object is built."""
     import mitsuba as mi
 
-    types = ((_BSDFS, mi.ObjectType.BSDF), (_EMITTERS, mi.ObjectType.Emitter), (_SENSORS, mi.ObjectType.Sensor))
+    types = (
+        (_BSDFS, mi.ObjectType.BSDF),
+        (_EMITTERS, mi.ObjectType.Emitter),
+        (_SENSORS, mi.ObjectType.Sensor),
+        (_TEXTURES, mi.ObjectType.Texture),
+    )
     return next((kind for table, kind in types if name in table), None)
 
 
