@@ -106,3 +106,15 @@ def test_pictures_have_less_noise_and_the_same_means(method):
     assert_agree(soft.images, run(floor("bitmap"), "path", passes=8, samples=256, max_depth=3).images, method)
     variance = [result.images.var(axis=0, ddof=1).mean() for result in (soft, sharp)]
     assert variance[0] < 0.5 * variance[1]
+
+
+def test_pictures_of_8_bits_are_decoded():
+    pixels = np.random.default_rng(6).integers(0, 256, (16, 16, 3)).astype(np.uint8)
+    ours, theirs = (mi.load_dict({"type": kind, "bitmap": mi.Bitmap(pixels)}) for kind in ("mipmap", "bitmap"))
+    si = at((np.indices((16, 16)).reshape(2, -1) + 0.5) / 16)
+    np.testing.assert_allclose(np.array(ours.eval(si)), np.array(theirs.eval(si)), atol=2e-3)
+
+
+def test_misspelt_properties_are_named():
+    with pytest.raises(RuntimeError, match="wrap_mod"):
+        mi.load_dict(texture("mipmap", wrap_mod="mirror"))

@@ -34,12 +34,16 @@ def make_mipmap() -> type:
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.plugin_name = "mipmap"
-            self._wrap = _WRAP[props.get("wrap_mode", "repeat")]
             finest = mi.Properties("bitmap")
-            for key in props.keys():  # noqa: SIM118
+            keys = list(props.keys())
+            for key in keys:
                 finest[key] = props[key]
+            finest["format"] = "variant"  # else texels of 8 bits are kept as they are, and decoded when they are read
             made = mi.PluginManager.instance().create_object(finest)
+            for key in keys:
+                props.mark_queried(key, finest.was_queried(key))  # Mitsuba names those that are not
             self.bitmap = next(iter(made.expand()), made)  # Mitsuba has a class for each kind of texels
+            self._wrap = _WRAP[props.get("wrap_mode", "repeat")]
             self._build()
 
         def _build(self) -> None:
