@@ -269,8 +269,8 @@ EXPERIMENTS = (
     # ------------------------------------------------------------------ global lines
     Experiment(
         *(LINES, "section 3.3, table 3.1", "Halton's and Sobol's points halve the error of Multipath"),
-        ("radiosity sequences --scene six-cubes --lines 131072 --seeds 4",),
-        lambda t: [Figure(name, t(name, "last", "Sequences"), 0, 0.6) for name in ("halton", "sobol")],
+        ("radiosity sequences --scene six-cubes --lines 524288 --seeds 3",),
+        lambda t: [Figure(name, t(name, "to independent at 524288"), 0, 0.6) for name in ("halton", "sobol")],
     ),
     Experiment(
         *(LINES, "section 3.4", "pairs of points on a sphere are the best generator of lines"),
