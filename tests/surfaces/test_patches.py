@@ -143,7 +143,7 @@ def test_what_a_diagnosis_finds():
     back_to_back = diagnose(Patches(UNIT[0], np.concatenate([UNIT[1], UNIT[1][:, ::-1]])))
     assert back_to_back.is_closed and len(back_to_back.duplicates) == 0
     sheet = diagnose(Patches(*UNIT, two_sided=True))
-    assert sheet.is_closed
+    assert str(sheet) == "all two-sided" and not sheet.is_closed
 
 
 def test_a_sphere_around_all_faces_ignores_vertices_without_one():

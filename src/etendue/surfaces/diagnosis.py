@@ -31,11 +31,13 @@ class MeshDiagnosis:
     crowded_edges: Index
     #: Edges that two faces traverse in the same direction: their orientations are opposite.
     flipped_edges: Index
+    #: Number of faces of one side, to which the edges belong.
+    one_sided: int
 
     @property
     def is_closed(self) -> bool:
         """Whether the one-sided faces bound solids or rooms: every edge has two faces of consistent orientation."""
-        return len(self.open_edges) == len(self.crowded_edges) == len(self.flipped_edges) == 0
+        return self.one_sided > 0 and not any(map(len, (self.open_edges, self.crowded_edges, self.flipped_edges)))
 
     def __str__(self) -> str:
         pair = f" ({self.overlaps[0, 0]} and {self.overlaps[0, 1]})" if len(self.overlaps) else ""
@@ -47,7 +49,8 @@ class MeshDiagnosis:
             (self.flipped_edges, "edge between faces turned differently", "edges between faces turned differently"),
         ]
         faults = [f"{len(x)} {one if len(x) == 1 else many}" for x, one, many in found if len(x)]
-        return ("closed" if self.is_closed else "not closed") + "".join(f", {fault}" for fault in faults)
+        kind = "all two-sided" if not self.one_sided else "closed" if self.is_closed else "not closed"
+        return kind + "".join(f", {fault}" for fault in faults)
 
 
 def diagnose(patches: Patches) -> MeshDiagnosis:
@@ -71,4 +74,5 @@ def diagnose(patches: Patches) -> MeshDiagnosis:
         open_edges=where[first[count == 1]],
         crowded_edges=where[first[count > 2]],
         flipped_edges=where[first[(count == 2) & (forward != 1)]],
+        one_sided=len(sided),
     )
