@@ -97,13 +97,13 @@ EXPERIMENTS = (
         _vcm("profile --rounds 3 --size 160x120"),
         lambda t: [
             Figure(
-                "merging / pass, mirror balls", t("mirror-balls", "merging s") / t("mirror-balls", "pass s"), 0, 0.3
+                "merging / pass, mirror balls", t("mirror-balls", "merging s") / t("mirror-balls", "pass s"), 0.1, 0.3
             ),
             Figure("surfaces of a camera path", t("mirror-balls", "camera path"), 4.0),
         ],
     ),
     Experiment(
-        *(VCM, "tables 5.5", "merging finds reflected caustics, and less as its radius falls"),
+        *(VCM, "table 5.5", "merging finds reflected caustics, and less as its radius falls"),
         _vcm("parts --passes 60 --size 160x120 --scene mirror-balls"),
         lambda t: [
             Figure(
