@@ -22,6 +22,12 @@ from etendue.scene import bundled_scene
 SIZE = (64, 64)
 
 
+def needs(name: str) -> None:
+    """Skip without the library of a denoiser."""
+    if name == "oidn" and importlib.util.find_spec("mitsuba_oidn") is None:
+        pytest.skip("mitsuba-oidn is not installed")
+
+
 def test_the_switch_turns_on_what_is_needed():
     for name in table():
         if name == "film_metropolis":
@@ -81,8 +87,7 @@ def pictures(mirror: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
 @pytest.mark.parametrize("mirror", [False, True])
 def test_every_denoiser_makes_a_better_picture(name, mirror):
     """Without further options. Ratios of relMSE for three seeds: 0.03 to 0.68."""
-    if name == "oidn" and importlib.util.find_spec("mitsuba_oidn") is None:
-        pytest.skip("mitsuba-oidn is not installed")
+    needs(name)
     layers, truth = pictures(mirror)
     assert relative_mse(develop(layers, name), truth) < 0.8 * relative_mse(layers["image"], truth)
 
@@ -90,8 +95,7 @@ def test_every_denoiser_makes_a_better_picture(name, mirror):
 @pytest.mark.parametrize("name", ["bilateral", "guided", "oidn"])
 def test_a_mirror_keeps_what_it_shows(name):
     """Better than with the features of the mirror: ratios of relMSE for three seeds, 0.60 to 0.84."""
-    if name == "oidn" and importlib.util.find_spec("mitsuba_oidn") is None:
-        pytest.skip("mitsuba-oidn is not installed")
+    needs(name)
     layers, truth = pictures(mirror=True)
     flat = {layer: values for layer, values in layers.items() if not layer.startswith("seen_")}
     mirror = np.abs(layers["seen_albedo"] - layers["albedo"]).max(axis=2) > 0.02
