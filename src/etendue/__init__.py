@@ -7,30 +7,39 @@ render any scene with any method without them.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
-from . import plugins as plugins
-from .api import render, resume, start
+from . import core as core, plugins as plugins
+from .api import render as render, resume as resume, start as start
 from .core import (
-    BackendError,
-    CheckpointError,
-    ClusterError,
-    EtendueError,
-    OptionError,
-    OutputError,
-    SceneError,
-    UnsupportedError,
+    BackendError as BackendError,
+    CheckpointError as CheckpointError,
+    ClusterError as ClusterError,
+    EtendueError as EtendueError,
+    OptionError as OptionError,
+    OutputError as OutputError,
+    SceneError as SceneError,
+    UnsupportedError as UnsupportedError,
 )
-from .engine import Session
-from .jobs import FormFactorResult, RadiosityResult, Rendering, Update
-from .plugins import register_method as register
+from .engine import Session as Session
+from .jobs import (
+    FormFactorResult as FormFactorResult,
+    RadiosityResult as RadiosityResult,
+    Rendering as Rendering,
+    Update as Update,
+)
+from .plugins import register_method
 
 if TYPE_CHECKING:
-    from .conformance import check
-    from .jobs import ParticleResult
-    from .mapping import map_particles
-    from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
-    from .tracing import read_particles, trace_particles
-    from .viewer import Viewer, view
+    from .conformance import check as check
+    from .jobs import ParticleResult as ParticleResult
+    from .mapping import map_particles as map_particles
+    from .solving import (
+        compute_form_factors as compute_form_factors,
+        solve_radiosity as solve_radiosity,
+        start_form_factors as start_form_factors,
+        start_radiosity as start_radiosity,
+    )
+    from .tracing import read_particles as read_particles, trace_particles as trace_particles
+    from .viewer import Viewer as Viewer, view as view
 else:
     #: Module of each name that rendering does not need; imported when the name is used.
     _LATER = {
@@ -51,35 +60,5 @@ else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
+register = register_method
 plugins.register()  # in every Mitsuba variant that is set, now or later
-
-__all__ = [
-    "BackendError",
-    "CheckpointError",
-    "ClusterError",
-    "EtendueError",
-    "FormFactorResult",
-    "OptionError",
-    "OutputError",
-    "ParticleResult",
-    "RadiosityResult",
-    "Rendering",
-    "SceneError",
-    "Session",
-    "UnsupportedError",
-    "Update",
-    "Viewer",
-    "check",
-    "compute_form_factors",
-    "map_particles",
-    "read_particles",
-    "register",
-    "render",
-    "resume",
-    "solve_radiosity",
-    "start",
-    "start_form_factors",
-    "start_radiosity",
-    "trace_particles",
-    "view",
-]

@@ -8,8 +8,7 @@ import os
 import pytest
 
 from etendue.core import ClusterError
-from etendue.distributed import Entry, Offered, Store
-from etendue.distributed import content as content_module
+from etendue.distributed import Entry, Offered, Store, content as content_module
 
 
 def send(offered, digest, store):

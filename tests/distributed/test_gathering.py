@@ -6,8 +6,7 @@ import pytest
 from benchmarks.cluster.simulated import Site, simulate
 from support.workers import Powers, Simulated, run
 
-from etendue.distributed import Arrival
-from etendue.distributed import crew as crew_module
+from etendue.distributed import Arrival, crew as crew_module
 from etendue.distributed.gathering import Bundle, Gathering, held_by_others
 from etendue.distributed.worker import merge_outcomes
 

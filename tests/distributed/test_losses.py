@@ -8,9 +8,7 @@ import pytest
 from support.workers import Chain, Powers, Simulated, alone, run
 
 from etendue.core import ClusterError, SceneError
-from etendue.distributed import Arrival, Lost
-from etendue.distributed import crew as crew_module
-from etendue.distributed import spread as spread_module
+from etendue.distributed import Arrival, Lost, crew as crew_module, spread as spread_module
 from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Failed, Needs
 from etendue.engine import Replicated

@@ -8,9 +8,7 @@ import time
 import pytest
 from support.workers import Powers, alone, run
 
-from etendue.distributed import Chunk, DaskPool
-from etendue.distributed import dask as dask_module
-from etendue.distributed import spread as spread_module
+from etendue.distributed import Chunk, DaskPool, dask as dask_module, spread as spread_module
 from etendue.distributed.gathering import Gathering
 from etendue.distributed.worker import Made, introduce
 

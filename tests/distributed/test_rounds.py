@@ -12,8 +12,7 @@ from support.workers import InProcess
 import etendue
 from etendue.cli.main import main
 from etendue.core import OptionError
-from etendue.distributed import Cluster, DaskPool, ProcessPool
-from etendue.distributed import rounds as rounds_module
+from etendue.distributed import Cluster, DaskPool, ProcessPool, rounds as rounds_module
 from etendue.distributed.talking import Talk
 from etendue.distributed.worker import Failed, Needs, _Desk, _Run
 from etendue.jobs import HierarchyRequest, HierarchyWork, run_work

@@ -13,10 +13,15 @@ from benchmarks.cluster.schedules import SCHEDULES
 from support.workers import Chain, Powers, Simulated, alone, run
 
 from etendue.core import ClusterError, Iterations, SceneError
-from etendue.distributed import Arrival, Lost, Recipe, Spread
-from etendue.distributed import crew as crew_module
-from etendue.distributed import spread as spread_module
-from etendue.distributed import worker as worker_module
+from etendue.distributed import (
+    Arrival,
+    Lost,
+    Recipe,
+    Spread,
+    crew as crew_module,
+    spread as spread_module,
+    worker as worker_module,
+)
 from etendue.distributed.content import Offered
 from etendue.distributed.worker import Failed
 from etendue.engine import Budget, Order, Replicated, RunError, Runner

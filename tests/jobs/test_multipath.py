@@ -15,8 +15,14 @@ import etendue
 from etendue.cli.main import main
 from etendue.core import CheckpointError, OptionError, Progress
 from etendue.jobs.multipath import MultipathWork
-from etendue.radiosity import MultipathPasses, Patches, RadiosityError, exact_form_factors, read_solution
-from etendue.radiosity import solve as solve_system
+from etendue.radiosity import (
+    MultipathPasses,
+    Patches,
+    RadiosityError,
+    exact_form_factors,
+    read_solution,
+    solve as solve_system,
+)
 
 meshio = pytest.importorskip("meshio")
 

@@ -13,8 +13,7 @@ from support.tables import thinned
 
 from etendue import scene
 from etendue.core import RELATIVE_EPSILON, CheckpointError
-from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
-from etendue.methods.auto import method as auto
+from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe, method as auto
 from etendue.methods.bidirectional import BidirectionalSettings
 from etendue.transport import TILE, Candidate
 

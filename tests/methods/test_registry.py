@@ -14,8 +14,7 @@ import pytest
 import etendue
 from etendue import methods
 from etendue.core import OptionError
-from etendue.methods import Path as PathMethod
-from etendue.methods import registry
+from etendue.methods import Path as PathMethod, registry
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "occlusion.py"
 

@@ -9,8 +9,7 @@ import pytest
 
 from etendue.radiosity import Patches, diagnose, scene_patches
 from etendue.scene import bundled_scene
-from etendue.scene.builtin import solids as parts
-from etendue.scene.builtin import theses
+from etendue.scene.builtin import solids as parts, theses
 from etendue.scene.meshes import MeshDescription
 
 BLOCKS = {row[0]: row[-1] for row in theses._ROWS if row[2] == "Castro 2002"}

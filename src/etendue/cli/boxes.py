@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, format_seconds
 
-from . import options as opt
-from . import radiosity_outputs as out
+from . import options as opt, radiosity_outputs as out
 from .console import error_console, note, say
 from .options import parse_pairs
 

@@ -13,8 +13,7 @@ import typer
 from etendue.core import OptionError, format_seconds
 from etendue.jobs import DEFAULT_POINTS
 
-from . import options as opt
-from . import radiosity_outputs as out
+from . import options as opt, radiosity_outputs as out
 from .boxes import box_settings, check_divided
 from .console import command_line, error_console, note, say
 from .radiosity_options import (

@@ -1,26 +1,11 @@
 """Conformance tests: whether the components of a scene have the properties that all methods require."""
 
-from .bsdfs import check_bsdf
-from .emitters import check_emitter
-from .functions import check_function
-from .rays import check_ray_casting
-from .report import Finding, Report, Verdict
-from .scenes import check
-from .sensors import check_sensor
-from .statistics import DensityFit, fit_density
-from .textures import check_textures
-
-__all__ = [
-    "DensityFit",
-    "Finding",
-    "Report",
-    "Verdict",
-    "check",
-    "check_bsdf",
-    "check_emitter",
-    "check_function",
-    "check_ray_casting",
-    "check_sensor",
-    "check_textures",
-    "fit_density",
-]
+from .bsdfs import check_bsdf as check_bsdf
+from .emitters import check_emitter as check_emitter
+from .functions import check_function as check_function
+from .rays import check_ray_casting as check_ray_casting
+from .report import Finding as Finding, Report as Report, Verdict as Verdict
+from .scenes import check as check
+from .sensors import check_sensor as check_sensor
+from .statistics import DensityFit as DensityFit, fit_density as fit_density
+from .textures import check_textures as check_textures

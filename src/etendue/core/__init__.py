@@ -1,108 +1,73 @@
 """Shared basics, independent of rendering: settings, measurements, methods, random numbers, errors, backend."""
 
 from .backend import (
-    check_llvm,
-    check_variant,
-    choose_variant,
-    copied_to_device,
-    lower_priority,
-    on_device,
-    set_threads,
-    use_variant,
+    check_llvm as check_llvm,
+    check_variant as check_variant,
+    choose_variant as choose_variant,
+    copied_to_device as copied_to_device,
+    lower_priority as lower_priority,
+    on_device as on_device,
+    set_threads as set_threads,
+    use_variant as use_variant,
 )
-from .citations import bibliography, bibtex
+from .citations import bibliography as bibliography, bibtex as bibtex
 from .errors import (
-    BackendError,
-    CheckpointError,
-    ClusterError,
-    EtendueError,
-    OptionError,
-    OutputError,
-    SceneError,
-    UnsupportedError,
-    describe,
-    suggest,
+    BackendError as BackendError,
+    CheckpointError as CheckpointError,
+    ClusterError as ClusterError,
+    EtendueError as EtendueError,
+    OptionError as OptionError,
+    OutputError as OutputError,
+    SceneError as SceneError,
+    UnsupportedError as UnsupportedError,
+    describe as describe,
+    suggest as suggest,
 )
-from .extras import library, sparse
-from .frozen import Frozen
-from .log import logger
-from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
-from .memory import free_memory
-from .method import Carrying, Method, Pass, Replica, Result, State, on_host, prepared
-from .notebooks import InNotebooks
-from .progress import Progress, format_count, format_number, format_rate, format_seconds, format_shares
-from .records import PassKey, Record, RecordFile
+from .extras import library as library, sparse as sparse
+from .frozen import Frozen as Frozen
+from .log import logger as logger
+from .measurement import (
+    CONTRAST as CONTRAST,
+    RELATIVE_EPSILON as RELATIVE_EPSILON,
+    Array as Array,
+    Iterations as Iterations,
+    Measurement as Measurement,
+    warn_of_nonfinite as warn_of_nonfinite,
+)
+from .memory import free_memory as free_memory
+from .method import (
+    Carrying as Carrying,
+    Method as Method,
+    Pass as Pass,
+    Replica as Replica,
+    Result as Result,
+    State as State,
+    on_host as on_host,
+    prepared as prepared,
+)
+from .notebooks import InNotebooks as InNotebooks
+from .progress import (
+    Progress as Progress,
+    format_count as format_count,
+    format_number as format_number,
+    format_rate as format_rate,
+    format_seconds as format_seconds,
+    format_shares as format_shares,
+)
+from .records import PassKey as PassKey, Record as Record, RecordFile as RecordFile
 from .samples import (
-    COMPONENTS_PER_VERTEX,
-    IndependentSource,
-    SampleSource,
-    hash_mix,
-    keyed_bits,
-    seed_key,
-    to_unit_float,
+    COMPONENTS_PER_VERTEX as COMPONENTS_PER_VERTEX,
+    IndependentSource as IndependentSource,
+    SampleSource as SampleSource,
+    hash_mix as hash_mix,
+    keyed_bits as keyed_bits,
+    seed_key as seed_key,
+    to_unit_float as to_unit_float,
 )
-from .settings import Settings, checked_path, is_number, is_whole, setting
-
-__all__ = [
-    "COMPONENTS_PER_VERTEX",
-    "CONTRAST",
-    "RELATIVE_EPSILON",
-    "Array",
-    "BackendError",
-    "Carrying",
-    "CheckpointError",
-    "ClusterError",
-    "EtendueError",
-    "Frozen",
-    "InNotebooks",
-    "IndependentSource",
-    "Iterations",
-    "Measurement",
-    "Method",
-    "OptionError",
-    "OutputError",
-    "Pass",
-    "PassKey",
-    "Progress",
-    "Record",
-    "RecordFile",
-    "Replica",
-    "Result",
-    "SampleSource",
-    "SceneError",
-    "Settings",
-    "State",
-    "UnsupportedError",
-    "bibliography",
-    "bibtex",
-    "check_llvm",
-    "check_variant",
-    "checked_path",
-    "choose_variant",
-    "copied_to_device",
-    "describe",
-    "format_count",
-    "format_number",
-    "format_rate",
-    "format_seconds",
-    "format_shares",
-    "free_memory",
-    "hash_mix",
-    "is_number",
-    "is_whole",
-    "keyed_bits",
-    "library",
-    "logger",
-    "lower_priority",
-    "on_device",
-    "on_host",
-    "prepared",
-    "seed_key",
-    "set_threads",
-    "setting",
-    "sparse",
-    "suggest",
-    "to_unit_float",
-    "use_variant",
-    "warn_of_nonfinite",
-]
+from .settings import (
+    Settings as Settings,
+    checked_path as checked_path,
+    is_number as is_number,
+    is_whole as is_whole,
+    setting as setting,
+)

@@ -1,57 +1,35 @@
 """Density estimation: kernels, estimators, their errors, and neighbour search on device arrays. Independent of surfaces
 and lights: the input is positions, weights and areas."""
 
-from .bandwidth import cross_validation, normal_reference, silverman
-from .boundary import Boundary
-from .cells import FACINGS, Cells
-from .diagnosis import Diagnosis, best_bandwidth, by_bootstrap, by_expansion, by_quadrature, by_repetition
-from .errors import DensityError
-from .estimator import Estimator
-from .fixed import FixedKernel, Naive
-from .histogram import BinnedKernel, Histogram
-from .kernels import KERNELS, Kernel, kernel_of
-from .nearest import NearestNeighbours
-from .quadtrees import Quadtrees, QuadtreeSampler
-from .samples import Samples, Surface
-from .search.hashgrid import HashGrid, Query
-from .search.kdtree import KdTree
-from .search.leftbalanced import left_balanced, nearest
-from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel, relative_widths
-
-__all__ = [
-    "FACINGS",
-    "KERNELS",
-    "AdaptiveKernel",
-    "BinnedKernel",
-    "Boundary",
-    "Cells",
-    "DensityError",
-    "Diagnosis",
-    "Estimator",
-    "FixedKernel",
-    "HashGrid",
-    "Histogram",
-    "KdTree",
-    "Kernel",
-    "Naive",
-    "NearestNeighbours",
-    "QuadtreeSampler",
-    "Quadtrees",
-    "Query",
-    "SampleBandwidths",
-    "Samples",
-    "Surface",
-    "VariableKernel",
-    "best_bandwidth",
-    "by_bootstrap",
-    "by_expansion",
-    "by_quadrature",
-    "by_repetition",
-    "cross_validation",
-    "kernel_of",
-    "left_balanced",
-    "nearest",
-    "normal_reference",
-    "relative_widths",
-    "silverman",
-]
+from .bandwidth import (
+    cross_validation as cross_validation,
+    normal_reference as normal_reference,
+    silverman as silverman,
+)
+from .boundary import Boundary as Boundary
+from .cells import FACINGS as FACINGS, Cells as Cells
+from .diagnosis import (
+    Diagnosis as Diagnosis,
+    best_bandwidth as best_bandwidth,
+    by_bootstrap as by_bootstrap,
+    by_expansion as by_expansion,
+    by_quadrature as by_quadrature,
+    by_repetition as by_repetition,
+)
+from .errors import DensityError as DensityError
+from .estimator import Estimator as Estimator
+from .fixed import FixedKernel as FixedKernel, Naive as Naive
+from .histogram import BinnedKernel as BinnedKernel, Histogram as Histogram
+from .kernels import KERNELS as KERNELS, Kernel as Kernel, kernel_of as kernel_of
+from .nearest import NearestNeighbours as NearestNeighbours
+from .quadtrees import Quadtrees as Quadtrees, QuadtreeSampler as QuadtreeSampler
+from .samples import Samples as Samples, Surface as Surface
+from .search.hashgrid import HashGrid as HashGrid, Query as Query
+from .search.kdtree import KdTree as KdTree
+from .search.leftbalanced import left_balanced as left_balanced, nearest as nearest
+from .variable import (
+    AdaptiveKernel as AdaptiveKernel,
+    SampleBandwidths as SampleBandwidths,
+    VariableKernel as VariableKernel,
+    relative_widths as relative_widths,
+)

@@ -1,107 +1,54 @@
 """Display: denoising, tone curves, PNG, tev, convergence plots, projections of points, pages of runs."""
 
-from .colours import css_gradient, false_colour
-from .curves import CURVES, ToneCurve
-from .denoising import DENOISERS, Denoiser, Filter, denoiser, parse_filters, part_names
-from .develop import develop
-from .meshes import MeshView, mesh_picture
-from .pages import asset_text, page
-from .plots import Series, convergence_plot
-from .png import encode_png, write_png
-from .report import (
-    Column,
-    Command,
-    Entry,
-    Facts,
-    Failure,
-    Figure,
-    Figures,
-    Folded,
-    Layer,
-    Measures,
-    Page,
-    Part,
-    Plot,
-    Scale,
-    Section,
-    Stack,
-    Text,
-    card,
-    fact_table,
-    fitted,
-    flatten,
-    in_pyramid,
-    machine,
-    number_text,
-    over_seeds,
-    pyramids,
-    render_page,
-    render_report,
-    time_text,
-    value_text,
-    viewer_data,
-    write_report,
+from .colours import css_gradient as css_gradient, false_colour as false_colour
+from .curves import CURVES as CURVES, ToneCurve as ToneCurve
+from .denoising import (
+    DENOISERS as DENOISERS,
+    Denoiser as Denoiser,
+    Filter as Filter,
+    denoiser as denoiser,
+    parse_filters as parse_filters,
+    part_names as part_names,
 )
-from .scatter import Projection, projection_plot
-from .tev import TevDisplay
-from .tonemap import auto_exposure, check_tone, tonemap
-
-__all__ = [
-    "CURVES",
-    "DENOISERS",
-    "Column",
-    "Command",
-    "Denoiser",
-    "Entry",
-    "Facts",
-    "Failure",
-    "Figure",
-    "Figures",
-    "Filter",
-    "Folded",
-    "Layer",
-    "Measures",
-    "MeshView",
-    "Page",
-    "Part",
-    "Plot",
-    "Projection",
-    "Scale",
-    "Section",
-    "Series",
-    "Stack",
-    "TevDisplay",
-    "Text",
-    "ToneCurve",
-    "asset_text",
-    "auto_exposure",
-    "card",
-    "check_tone",
-    "convergence_plot",
-    "css_gradient",
-    "denoiser",
-    "develop",
-    "encode_png",
-    "fact_table",
-    "false_colour",
-    "fitted",
-    "flatten",
-    "in_pyramid",
-    "machine",
-    "mesh_picture",
-    "number_text",
-    "over_seeds",
-    "page",
-    "parse_filters",
-    "part_names",
-    "projection_plot",
-    "pyramids",
-    "render_page",
-    "render_report",
-    "time_text",
-    "tonemap",
-    "value_text",
-    "viewer_data",
-    "write_png",
-    "write_report",
-]
+from .develop import develop as develop
+from .meshes import MeshView as MeshView, mesh_picture as mesh_picture
+from .pages import asset_text as asset_text, page as page
+from .plots import Series as Series, convergence_plot as convergence_plot
+from .png import encode_png as encode_png, write_png as write_png
+from .report import (
+    Column as Column,
+    Command as Command,
+    Entry as Entry,
+    Facts as Facts,
+    Failure as Failure,
+    Figure as Figure,
+    Figures as Figures,
+    Folded as Folded,
+    Layer as Layer,
+    Measures as Measures,
+    Page as Page,
+    Part as Part,
+    Plot as Plot,
+    Scale as Scale,
+    Section as Section,
+    Stack as Stack,
+    Text as Text,
+    card as card,
+    fact_table as fact_table,
+    fitted as fitted,
+    flatten as flatten,
+    in_pyramid as in_pyramid,
+    machine as machine,
+    number_text as number_text,
+    over_seeds as over_seeds,
+    pyramids as pyramids,
+    render_page as render_page,
+    render_report as render_report,
+    time_text as time_text,
+    value_text as value_text,
+    viewer_data as viewer_data,
+    write_report as write_report,
+)
+from .scatter import Projection as Projection, projection_plot as projection_plot
+from .tev import TevDisplay as TevDisplay
+from .tonemap import auto_exposure as auto_exposure, check_tone as check_tone, tonemap as tonemap

@@ -1,37 +1,18 @@
 """Distributed: passes of a run in several processes, on this machine or on a cluster of Dask."""
 
-from .cluster import Cluster, open_cluster, opened_cluster
-from .content import Entry, Offered, Store
-from .dask import DaskPool
-from .divided import Divided, Traffic
-from .pool import Arrival, Lost, Pool
-from .processes import ProcessPool
-from .recipe import Ingredients, Recipe, part_ingredients, recipe, scene_ingredients
-from .rounds import Correspondence, Rounds
-from .spread import Spread
-from .worker import Chunk
-
-__all__ = [
-    "Arrival",
-    "Chunk",
-    "Cluster",
-    "Correspondence",
-    "DaskPool",
-    "Divided",
-    "Entry",
-    "Ingredients",
-    "Lost",
-    "Offered",
-    "Pool",
-    "ProcessPool",
-    "Recipe",
-    "Rounds",
-    "Spread",
-    "Store",
-    "Traffic",
-    "open_cluster",
-    "opened_cluster",
-    "part_ingredients",
-    "recipe",
-    "scene_ingredients",
-]
+from .cluster import Cluster as Cluster, open_cluster as open_cluster, opened_cluster as opened_cluster
+from .content import Entry as Entry, Offered as Offered, Store as Store
+from .dask import DaskPool as DaskPool
+from .divided import Divided as Divided, Traffic as Traffic
+from .pool import Arrival as Arrival, Lost as Lost, Pool as Pool
+from .processes import ProcessPool as ProcessPool
+from .recipe import (
+    Ingredients as Ingredients,
+    Recipe as Recipe,
+    part_ingredients as part_ingredients,
+    recipe as recipe,
+    scene_ingredients as scene_ingredients,
+)
+from .rounds import Correspondence as Correspondence, Rounds as Rounds
+from .spread import Spread as Spread
+from .worker import Chunk as Chunk

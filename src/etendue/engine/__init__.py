@@ -1,45 +1,14 @@
 """Engine: runs a method pass by pass, with budgets, progress, checkpoints, resuming and cancelling. It knows no
 concrete method."""
 
-from .budget import Budget
-from .checkpoint import Checkpoint
-from .executor import Executor, InTurn, MakeExecutor, Order
-from .fitting import fit_samples, settle_samples
-from .job import Job, Task, remaining, task_settings, versions
-from .recordfiles import check_records
-from .replicas import Replicated, replica_seed, replicated
-from .runner import Cancelled, RunError, Runner, RunResult
-from .saving import check_period, check_save_times
-from .session import Session, jit_flags, set_jit_flags
-from .stopping import LEAST_PASSES_FOR_ERROR, CancelEvent
-
-__all__ = [
-    "LEAST_PASSES_FOR_ERROR",
-    "Budget",
-    "CancelEvent",
-    "Cancelled",
-    "Checkpoint",
-    "Executor",
-    "InTurn",
-    "Job",
-    "MakeExecutor",
-    "Order",
-    "Replicated",
-    "RunError",
-    "RunResult",
-    "Runner",
-    "Session",
-    "Task",
-    "check_period",
-    "check_records",
-    "check_save_times",
-    "fit_samples",
-    "jit_flags",
-    "remaining",
-    "replica_seed",
-    "replicated",
-    "set_jit_flags",
-    "settle_samples",
-    "task_settings",
-    "versions",
-]
+from .budget import Budget as Budget
+from .checkpoint import Checkpoint as Checkpoint
+from .executor import Executor as Executor, InTurn as InTurn, MakeExecutor as MakeExecutor, Order as Order
+from .fitting import fit_samples as fit_samples, settle_samples as settle_samples
+from .job import Job as Job, Task as Task, remaining as remaining, task_settings as task_settings, versions as versions
+from .recordfiles import check_records as check_records
+from .replicas import Replicated as Replicated, replica_seed as replica_seed, replicated as replicated
+from .runner import Cancelled as Cancelled, RunError as RunError, Runner as Runner, RunResult as RunResult
+from .saving import check_period as check_period, check_save_times as check_save_times
+from .session import Session as Session, jit_flags as jit_flags, set_jit_flags as set_jit_flags
+from .stopping import LEAST_PASSES_FOR_ERROR as LEAST_PASSES_FOR_ERROR, CancelEvent as CancelEvent

@@ -1,88 +1,59 @@
 """Integrals over boxes: functions and their algebra, and general integrators."""
 
-from .backend import Backend, DeviceBackend, HostBackend, array_namespace
-from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
-from .densities import (
-    AxisBins,
-    CellGrid,
-    Density,
-    Factor,
-    PlaneBins,
-    ProductDensity,
-    Tabulated,
-    Warp,
-    bin_values,
-    warp_rows,
+from .backend import (
+    Backend as Backend,
+    DeviceBackend as DeviceBackend,
+    HostBackend as HostBackend,
+    array_namespace as array_namespace,
 )
-from .densities.binning import damp, rebin, smooth
-from .errors import IntegrationError
-from .estimate import Estimate, Integrator, average, combine
-from .functions import Box, Domain, Integrand, constant, coordinate
-from .metropolis import Chains, Independent, Metropolis, Mixture, Proposal, ScaledStep, UniformStep
-from .nested import integral
-from .plain import ControlVariate, HitOrMiss, Importance, MeanSample
-from .primary import Layout, Move, PrimarySource, Slot
-from .recursive import RecursiveStratified
-from .regions import Regions
-from .rejection import Accepted, Rejection
-from .stratified import PointSequence, QuasiMonteCarlo, Stratified
-from .vegas import Vegas
-
-__all__ = [
-    "Accepted",
-    "AxisBins",
-    "Backend",
-    "Box",
-    "CellGrid",
-    "ChainDiagnosis",
-    "Chains",
-    "ControlVariate",
-    "Density",
-    "DeviceBackend",
-    "Domain",
-    "Estimate",
-    "Factor",
-    "HitOrMiss",
-    "HostBackend",
-    "Importance",
-    "Independent",
-    "Integrand",
-    "IntegrationError",
-    "Integrator",
-    "Layout",
-    "MeanSample",
-    "Metropolis",
-    "Mixture",
-    "Move",
-    "PlaneBins",
-    "PointSequence",
-    "PrimarySource",
-    "ProductDensity",
-    "Proposal",
-    "QuasiMonteCarlo",
-    "RecursiveStratified",
-    "Regions",
-    "Rejection",
-    "ScaledStep",
-    "Slot",
-    "Stratified",
-    "Tabulated",
-    "UniformStep",
-    "Vegas",
-    "Warp",
-    "array_namespace",
-    "autocorrelation",
-    "autocorrelation_time",
-    "average",
-    "bin_values",
-    "combine",
-    "constant",
-    "coordinate",
-    "damp",
-    "diagnose",
-    "integral",
-    "rebin",
-    "smooth",
-    "split_r_hat",
-    "warp_rows",
-]
+from .chains import (
+    ChainDiagnosis as ChainDiagnosis,
+    autocorrelation as autocorrelation,
+    autocorrelation_time as autocorrelation_time,
+    diagnose as diagnose,
+    split_r_hat as split_r_hat,
+)
+from .densities import (
+    AxisBins as AxisBins,
+    CellGrid as CellGrid,
+    Density as Density,
+    Factor as Factor,
+    PlaneBins as PlaneBins,
+    ProductDensity as ProductDensity,
+    Tabulated as Tabulated,
+    Warp as Warp,
+    bin_values as bin_values,
+    warp_rows as warp_rows,
+)
+from .densities.binning import damp as damp, rebin as rebin, smooth as smooth
+from .errors import IntegrationError as IntegrationError
+from .estimate import Estimate as Estimate, Integrator as Integrator, average as average, combine as combine
+from .functions import (
+    Box as Box,
+    Domain as Domain,
+    Integrand as Integrand,
+    constant as constant,
+    coordinate as coordinate,
+)
+from .metropolis import (
+    Chains as Chains,
+    Independent as Independent,
+    Metropolis as Metropolis,
+    Mixture as Mixture,
+    Proposal as Proposal,
+    ScaledStep as ScaledStep,
+    UniformStep as UniformStep,
+)
+from .nested import integral as integral
+from .plain import (
+    ControlVariate as ControlVariate,
+    HitOrMiss as HitOrMiss,
+    Importance as Importance,
+    MeanSample as MeanSample,
+)
+from .primary import Layout as Layout, Move as Move, PrimarySource as PrimarySource, Slot as Slot
+from .recursive import RecursiveStratified as RecursiveStratified
+from .regions import Regions as Regions
+from .rejection import Accepted as Accepted, Rejection as Rejection
+from .stratified import PointSequence as PointSequence, QuasiMonteCarlo as QuasiMonteCarlo, Stratified as Stratified
+from .vegas import Vegas as Vegas

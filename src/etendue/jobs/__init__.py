@@ -3,33 +3,80 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from .files import PathLike, Writing, about, check_files, listed
-from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, check_picture, save_result
-from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
-from .running import Passes, Watch, Work, run_work, start_work
-from .wording import PYTHON, Wording
+from .files import (
+    PathLike as PathLike,
+    Writing as Writing,
+    about as about,
+    check_files as check_files,
+    listed as listed,
+)
+from .pictures import (
+    Image as Image,
+    Outputs as Outputs,
+    PictureWork as PictureWork,
+    Rendering as Rendering,
+    Update as Update,
+    Writer as Writer,
+    check_picture as check_picture,
+    save_result as save_result,
+)
+from .results import (
+    DEFAULT_BUNDLES as DEFAULT_BUNDLES,
+    DEFAULT_POINTS as DEFAULT_POINTS,
+    FormFactorResult as FormFactorResult,
+    LinesResult as LinesResult,
+    RadiosityResult as RadiosityResult,
+)
+from .running import Passes as Passes, Watch as Watch, Work as Work, run_work as run_work, start_work as start_work
+from .wording import PYTHON as PYTHON, Wording as Wording
 
 if TYPE_CHECKING:
-    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork
-    from .gathering import PICTURE_FILES, picture
-    from .hierarchies import split_settings
-    from .lines import LinesJob, LinesTask
-    from .linesrequest import LinesRequest
-    from .maps.making import MadeMap, MapOptions, make_map
-    from .maps.sources import FileSource
-    from .maps.writing import MAP_FILES, check_map_file, map_lightmap, write_map
-    from .multipath import MultipathWork
-    from .particles import DEFAULT_PATHS, TRACINGS, ParticleRequest, ParticleResult, ParticleWork, repack
-    from .requests import FormFactorRequest, RadiosityRequest, asked_before
-    from .solutions import ERROR_SCALE, SolutionOutputs, files_and_lightmap, saved_solution
+    from .boxes import (
+        DEFAULT_PASSES as DEFAULT_PASSES,
+        HierarchyRequest as HierarchyRequest,
+        HierarchyResult as HierarchyResult,
+        HierarchyWork as HierarchyWork,
+    )
+    from .gathering import PICTURE_FILES as PICTURE_FILES, picture as picture
+    from .hierarchies import split_settings as split_settings
+    from .lines import LinesJob as LinesJob, LinesTask as LinesTask
+    from .linesrequest import LinesRequest as LinesRequest
+    from .maps.making import MadeMap as MadeMap, MapOptions as MapOptions, make_map as make_map
+    from .maps.sources import FileSource as FileSource
+    from .maps.writing import (
+        MAP_FILES as MAP_FILES,
+        check_map_file as check_map_file,
+        map_lightmap as map_lightmap,
+        write_map as write_map,
+    )
+    from .multipath import MultipathWork as MultipathWork
+    from .particles import (
+        DEFAULT_PATHS as DEFAULT_PATHS,
+        TRACINGS as TRACINGS,
+        ParticleRequest as ParticleRequest,
+        ParticleResult as ParticleResult,
+        ParticleWork as ParticleWork,
+        repack as repack,
+    )
+    from .requests import (
+        FormFactorRequest as FormFactorRequest,
+        RadiosityRequest as RadiosityRequest,
+        asked_before as asked_before,
+    )
+    from .solutions import (
+        ERROR_SCALE as ERROR_SCALE,
+        SolutionOutputs as SolutionOutputs,
+        files_and_lightmap as files_and_lightmap,
+        saved_solution as saved_solution,
+    )
     from .solving import (
-        FormFactorWork,
-        LinesWork,
-        PatchWork,
-        RadiosityWork,
-        RequestedWork,
-        radiosity_work,
-        solve_ambient,
+        FormFactorWork as FormFactorWork,
+        LinesWork as LinesWork,
+        PatchWork as PatchWork,
+        RadiosityWork as RadiosityWork,
+        RequestedWork as RequestedWork,
+        radiosity_work as radiosity_work,
+        solve_ambient as solve_ambient,
     )
 else:
     #: Modules of radiosity and particles. They are imported when one of their names is used, since rendering does not
@@ -64,71 +111,3 @@ else:
             if name in names:
                 return getattr(import_module(f"{__name__}.{module}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-__all__ = [
-    "DEFAULT_BUNDLES",
-    "DEFAULT_PASSES",
-    "DEFAULT_PATHS",
-    "DEFAULT_POINTS",
-    "ERROR_SCALE",
-    "MAP_FILES",
-    "PICTURE_FILES",
-    "PYTHON",
-    "TRACINGS",
-    "FileSource",
-    "FormFactorRequest",
-    "FormFactorResult",
-    "FormFactorWork",
-    "HierarchyRequest",
-    "HierarchyResult",
-    "HierarchyWork",
-    "Image",
-    "LinesJob",
-    "LinesRequest",
-    "LinesResult",
-    "LinesTask",
-    "LinesWork",
-    "MadeMap",
-    "MapOptions",
-    "MultipathWork",
-    "Outputs",
-    "ParticleRequest",
-    "ParticleResult",
-    "ParticleWork",
-    "Passes",
-    "PatchWork",
-    "PathLike",
-    "PictureWork",
-    "RadiosityRequest",
-    "RadiosityResult",
-    "RadiosityWork",
-    "Rendering",
-    "RequestedWork",
-    "SolutionOutputs",
-    "Update",
-    "Watch",
-    "Wording",
-    "Work",
-    "Writer",
-    "Writing",
-    "about",
-    "asked_before",
-    "check_files",
-    "check_map_file",
-    "check_picture",
-    "files_and_lightmap",
-    "listed",
-    "make_map",
-    "map_lightmap",
-    "picture",
-    "radiosity_work",
-    "repack",
-    "run_work",
-    "save_result",
-    "saved_solution",
-    "solve_ambient",
-    "split_settings",
-    "start_work",
-    "write_map",
-]

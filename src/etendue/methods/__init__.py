@@ -5,25 +5,41 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from .adaptive.stratified import StratifiedPath
-from .adaptive.vegas import VegasPath
-from .auto import Auto
-from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
-from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
-from .guided import Guided
-from .light import LightTracing
-from .metropolis.filmchains import FilmMetropolis
-from .path import Path
-from .photon.hits import photon_hits
-from .photon.map import Pm
-from .photon.progressive import Ppm, Sppm
-from .rays import MOST_RECORDED, LightRays, ShowsRays, rays_through
-from .registry import by_plugin, get, register, table
+from .adaptive.stratified import StratifiedPath as StratifiedPath
+from .adaptive.vegas import VegasPath as VegasPath
+from .auto import Auto as Auto
+from .base import (
+    CameraSettings as CameraSettings,
+    ImageMethod as ImageMethod,
+    ImageSettings as ImageSettings,
+    Layer as Layer,
+    total as total,
+)
+from .bidirectional import Bidirectional as Bidirectional, Bpm as Bpm, Bpt as Bpt, Vcm as Vcm
+from .guided import Guided as Guided
+from .light import LightTracing as LightTracing
+from .metropolis.filmchains import FilmMetropolis as FilmMetropolis
+from .path import Path as Path
+from .photon.hits import photon_hits as photon_hits
+from .photon.map import Pm as Pm
+from .photon.progressive import Ppm as Ppm, Sppm as Sppm
+from .rays import (
+    MOST_RECORDED as MOST_RECORDED,
+    LightRays as LightRays,
+    ShowsRays as ShowsRays,
+    rays_through as rays_through,
+)
+from .registry import by_plugin as by_plugin, get as get, register as register, table as table
 
 if TYPE_CHECKING:
-    from .box_tracing import box_arguments, check_divisible, gathered, make_box_tracing
-    from .metropolis.particles import MetropolisParticles
-    from .particles import ParticleTracing
+    from .box_tracing import (
+        box_arguments as box_arguments,
+        check_divisible as check_divisible,
+        gathered as gathered,
+        make_box_tracing as make_box_tracing,
+    )
+    from .metropolis.particles import MetropolisParticles as MetropolisParticles
+    from .particles import ParticleTracing as ParticleTracing
 else:
     #: Modules of methods that make no picture; imported when one of their names is used.
     _LATER = {
@@ -40,41 +56,3 @@ else:
         if name in _LATER:
             return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-__all__ = [
-    "MOST_RECORDED",
-    "Auto",
-    "Bidirectional",
-    "Bpm",
-    "Bpt",
-    "CameraSettings",
-    "FilmMetropolis",
-    "Guided",
-    "ImageMethod",
-    "ImageSettings",
-    "Layer",
-    "LightRays",
-    "LightTracing",
-    "MetropolisParticles",
-    "ParticleTracing",
-    "Path",
-    "Pm",
-    "Ppm",
-    "ShowsRays",
-    "Sppm",
-    "StratifiedPath",
-    "Vcm",
-    "VegasPath",
-    "box_arguments",
-    "by_plugin",
-    "check_divisible",
-    "gathered",
-    "get",
-    "make_box_tracing",
-    "photon_hits",
-    "rays_through",
-    "register",
-    "table",
-    "total",
-]

@@ -40,8 +40,8 @@ from etendue.transport import (
     Walker,
     WalkVertex,
     ambient_scene,
+    dimensions as dim,
 )
-from etendue.transport import dimensions as dim
 
 from .base import ImageMethod, ImageSettings, Layer, W, keep_finite, total
 from .light import LightSettings, LightTracing

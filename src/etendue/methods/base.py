@@ -41,18 +41,20 @@ from etendue.transport import (
     Visibility,
     Walker,
     component_fields,
+    dimensions as dim,
     seen_shapes,
 )
-from etendue.transport import dimensions as dim
 
-from .layers import PARTS, reweighted, seen
-from .layers import Layer as Layer
-from .layers import keep_finite as keep_finite
-from .layers import total as total
-from .layers import with_image as with_image
-from .numbers import Lanes as Lanes
-from .numbers import SharedFilm, camera_numbers, places
-from .numbers import light_numbers as light_numbers
+from .layers import (
+    PARTS,
+    Layer as Layer,
+    keep_finite as keep_finite,
+    reweighted,
+    seen,
+    total as total,
+    with_image as with_image,
+)
+from .numbers import Lanes as Lanes, SharedFilm, camera_numbers, light_numbers as light_numbers, places
 
 W = TypeVar("W", bound=Walker)
 

@@ -31,11 +31,11 @@ from etendue.transport import (
     Splats,
     SplatSink,
     Techniques,
+    dimensions as dim,
     learned_emission,
     ones,
     point_on,
 )
-from etendue.transport import dimensions as dim
 
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total

@@ -22,12 +22,12 @@ from etendue.transport import (
     Visibility,
     Walker,
     WalkRecorder,
+    dimensions as dim,
     emit,
     joined_to,
     recorded,
     scatter_light,
 )
-from etendue.transport import dimensions as dim
 
 from .base import ImageMethod
 

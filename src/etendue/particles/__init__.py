@@ -1,47 +1,25 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
-from .boxes import RECORD_WORDS, BoxGrid, BoxWalk
-from .errors import ParticleError
-from .files import ParticleFile, is_particle_file
-from .layouts import RECORDS, merged, of_strips, records, strips
-from .packing.codecs import LAYOUTS, Codec, decode, encode
-from .packing.coders import coder, coder_names
-from .packing.grid import Grid
-from .particles import LAYOUT, RAW_BYTES, WORDS, Particles, Rows, columns_of
-from .surfaces import Surfaces, SurfaceTable
-from .walk import Keep, ParticleStore, ParticleWalk, in_path_order
-from .writer import ParticleWriter
-
-__all__ = [
-    "LAYOUT",
-    "LAYOUTS",
-    "RAW_BYTES",
-    "RECORDS",
-    "RECORD_WORDS",
-    "WORDS",
-    "BoxGrid",
-    "BoxWalk",
-    "Codec",
-    "Grid",
-    "Keep",
-    "ParticleError",
-    "ParticleFile",
-    "ParticleStore",
-    "ParticleWalk",
-    "ParticleWriter",
-    "Particles",
-    "Rows",
-    "SurfaceTable",
-    "Surfaces",
-    "coder",
-    "coder_names",
-    "columns_of",
-    "decode",
-    "encode",
-    "in_path_order",
-    "is_particle_file",
-    "merged",
-    "of_strips",
-    "records",
-    "strips",
-]
+from .boxes import RECORD_WORDS as RECORD_WORDS, BoxGrid as BoxGrid, BoxWalk as BoxWalk
+from .errors import ParticleError as ParticleError
+from .files import ParticleFile as ParticleFile, is_particle_file as is_particle_file
+from .layouts import RECORDS as RECORDS, merged as merged, of_strips as of_strips, records as records, strips as strips
+from .packing.codecs import LAYOUTS as LAYOUTS, Codec as Codec, decode as decode, encode as encode
+from .packing.coders import coder as coder, coder_names as coder_names
+from .packing.grid import Grid as Grid
+from .particles import (
+    LAYOUT as LAYOUT,
+    RAW_BYTES as RAW_BYTES,
+    WORDS as WORDS,
+    Particles as Particles,
+    Rows as Rows,
+    columns_of as columns_of,
+)
+from .surfaces import Surfaces as Surfaces, SurfaceTable as SurfaceTable
+from .walk import (
+    Keep as Keep,
+    ParticleStore as ParticleStore,
+    ParticleWalk as ParticleWalk,
+    in_path_order as in_path_order,
+)
+from .writer import ParticleWriter as ParticleWriter

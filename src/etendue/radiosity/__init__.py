@@ -4,236 +4,145 @@ Names of :mod:`etendue.surfaces` (patches, meshes, maps) and :mod:`etendue.forma
 exported here, too.
 """
 
-from etendue.formats import FormatError, GltfMesh, write_gltf
+from etendue.formats import FormatError as FormatError, GltfMesh as GltfMesh, write_gltf as write_gltf
 from etendue.surfaces import (
-    AMBIENT_TERMS,
-    LIGHTMAP_MESHES,
-    STEFAN_BOLTZMANN,
-    AmbientTerm,
-    Lightmap,
-    MeshDiagnosis,
-    Objects,
-    PatchError,
-    Patches,
-    RayScene,
-    SurfaceError,
-    TexturedMesh,
-    VertexRadiosity,
-    atlas,
-    band_shares,
-    box,
-    check_coordinates,
-    diagnose,
-    find_objects,
-    gltf_mesh,
-    joined,
-    read_patches,
-    save_lightmap,
-    save_textured_mesh,
-    scene_mesh,
-    scene_patches,
-    thermal,
-    vertex_radiosity,
+    AMBIENT_TERMS as AMBIENT_TERMS,
+    LIGHTMAP_MESHES as LIGHTMAP_MESHES,
+    STEFAN_BOLTZMANN as STEFAN_BOLTZMANN,
+    AmbientTerm as AmbientTerm,
+    Lightmap as Lightmap,
+    MeshDiagnosis as MeshDiagnosis,
+    Objects as Objects,
+    PatchError as PatchError,
+    Patches as Patches,
+    RayScene as RayScene,
+    SurfaceError as SurfaceError,
+    TexturedMesh as TexturedMesh,
+    VertexRadiosity as VertexRadiosity,
+    atlas as atlas,
+    band_shares as band_shares,
+    box as box,
+    check_coordinates as check_coordinates,
+    diagnose as diagnose,
+    find_objects as find_objects,
+    gltf_mesh as gltf_mesh,
+    joined as joined,
+    read_patches as read_patches,
+    save_lightmap as save_lightmap,
+    save_textured_mesh as save_textured_mesh,
+    scene_mesh as scene_mesh,
+    scene_patches as scene_patches,
+    thermal as thermal,
+    vertex_radiosity as vertex_radiosity,
 )
 
-from .ambient.solutions import ambient_solution, finished
-from .ambient.spreading import spread
-from .ambient.subscenes import HierarchicalAmbient, SubScene, hierarchical_ambient, sub_scenes, sub_scenes_of
-from .balance import check_balance, is_balanced
-from .casting import REPLICATES, CastingSettings, LineCasting
-from .castlines import CastLines
-from .errors import RadiosityError
-from .factors.exact import exact_form_factors
-from .factors.formfactors import ESTIMATORS, Estimator, FormFactors, entry_bytes, estimate, form_factors, pair_errors
-from .factors.gebhart import gebhart_factors
-from .factors.localfactors import area_form_factors, local_form_factors
-from .files.colours import coloured_mesh
-from .files.netcdf import read_segments, save_segments
+from .ambient.solutions import ambient_solution as ambient_solution, finished as finished
+from .ambient.spreading import spread as spread
+from .ambient.subscenes import (
+    HierarchicalAmbient as HierarchicalAmbient,
+    SubScene as SubScene,
+    hierarchical_ambient as hierarchical_ambient,
+    sub_scenes as sub_scenes,
+    sub_scenes_of as sub_scenes_of,
+)
+from .balance import check_balance as check_balance, is_balanced as is_balanced
+from .casting import REPLICATES as REPLICATES, CastingSettings as CastingSettings, LineCasting as LineCasting
+from .castlines import CastLines as CastLines
+from .errors import RadiosityError as RadiosityError
+from .factors.exact import exact_form_factors as exact_form_factors
+from .factors.formfactors import (
+    ESTIMATORS as ESTIMATORS,
+    Estimator as Estimator,
+    FormFactors as FormFactors,
+    entry_bytes as entry_bytes,
+    estimate as estimate,
+    form_factors as form_factors,
+    pair_errors as pair_errors,
+)
+from .factors.gebhart import gebhart_factors as gebhart_factors
+from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
+from .files.colours import coloured_mesh as coloured_mesh
+from .files.netcdf import read_segments as read_segments, save_segments as save_segments
 from .files.results import (
-    FORM_FACTOR_FILES,
-    SOLUTION_FILES,
-    check_file,
-    check_text_size,
-    read_form_factors,
-    save_form_factors,
-    save_solution,
+    FORM_FACTOR_FILES as FORM_FACTOR_FILES,
+    SOLUTION_FILES as SOLUTION_FILES,
+    check_file as check_file,
+    check_text_size as check_text_size,
+    read_form_factors as read_form_factors,
+    save_form_factors as save_form_factors,
+    save_solution as save_solution,
 )
-from .files.solutionfiles import read_solution, solution_metadata
-from .hierarchical_factors.allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
-from .hierarchical_factors.casting import HierarchicalCasting, HierarchicalCastingSettings
-from .hierarchical_factors.lines import TreeBundles, TreeRays
-from .hierarchical_factors.segments import PartialSegments, partial_form_factors
-from .hierarchical_factors.tree import SphereTree, sphere_tree
-from .hierarchical_multipath.divided.around import DividedMultipath
-from .hierarchical_multipath.divided.units import check_divisible
-from .hierarchical_multipath.grouping import GroupSettings, grouped
-from .hierarchical_multipath.method import HierarchicalMultipath, HierarchicalMultipathSettings, PartProblem
-from .hierarchical_multipath.parts import Part, part_boxes
-from .hierarchical_multipath.reading import instanced_patches, part_of, scene_part
-from .hierarchical_multipath.solution import HierarchicalSolution, relative_error
-from .lightmaps import lightmap
-from .lines.abuffer import ABuffer, Backend
-from .lines.chained import ChainedRays
-from .lines.engine import LineEngine
+from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
+from .hierarchical_factors.allocation import (
+    MAIN_SHARE as MAIN_SHARE,
+    allocated as allocated,
+    area_shares as area_shares,
+    least_error_shares as least_error_shares,
+)
+from .hierarchical_factors.casting import (
+    HierarchicalCasting as HierarchicalCasting,
+    HierarchicalCastingSettings as HierarchicalCastingSettings,
+)
+from .hierarchical_factors.lines import TreeBundles as TreeBundles, TreeRays as TreeRays
+from .hierarchical_factors.segments import (
+    PartialSegments as PartialSegments,
+    partial_form_factors as partial_form_factors,
+)
+from .hierarchical_factors.tree import SphereTree as SphereTree, sphere_tree as sphere_tree
+from .hierarchical_multipath.divided.around import DividedMultipath as DividedMultipath
+from .hierarchical_multipath.divided.units import check_divisible as check_divisible
+from .hierarchical_multipath.grouping import GroupSettings as GroupSettings, grouped as grouped
+from .hierarchical_multipath.method import (
+    HierarchicalMultipath as HierarchicalMultipath,
+    HierarchicalMultipathSettings as HierarchicalMultipathSettings,
+    PartProblem as PartProblem,
+)
+from .hierarchical_multipath.parts import Part as Part, part_boxes as part_boxes
+from .hierarchical_multipath.reading import (
+    instanced_patches as instanced_patches,
+    part_of as part_of,
+    scene_part as scene_part,
+)
+from .hierarchical_multipath.solution import (
+    HierarchicalSolution as HierarchicalSolution,
+    relative_error as relative_error,
+)
+from .lightmaps import lightmap as lightmap
+from .lines.abuffer import ABuffer as ABuffer, Backend as Backend
+from .lines.chained import ChainedRays as ChainedRays
+from .lines.engine import LineEngine as LineEngine
 from .lines.generators import (
-    GENERATORS,
-    SINGLE_LINES,
-    BoxWalls,
-    Bundles,
-    GreatCircle,
-    LineGenerator,
-    Lines,
-    SpherePairs,
+    GENERATORS as GENERATORS,
+    SINGLE_LINES as SINGLE_LINES,
+    BoxWalls as BoxWalls,
+    Bundles as Bundles,
+    GreatCircle as GreatCircle,
+    LineGenerator as LineGenerator,
+    Lines as Lines,
+    SpherePairs as SpherePairs,
 )
-from .lines.local import LocalRays
-from .lines.mixing import MixedSegments, with_local_rays
-from .lines.segments import Segments
-from .lines.sequences import LINE_POINTS
-from .lines.spiral import SpiralPoints
-from .problem import PatchProblem
-from .solvers.absorption import check_absorption
-from .solvers.multipath import Multipath, multipath, multipath_bundles
-from .solvers.multipath_passes import MultipathPasses, MultipathSettings
-from .solvers.particles import Particles, breadth_first, depth_first
-from .solvers.shot import FirstShot, first_shot, shot_at_patches, small_emitters
-from .solvers.system import SOLVERS, Solution, Solver, Transport, check_direct, solve
-from .solvers.values import check_colours, radiosity_on
-
-__all__ = [
-    "AMBIENT_TERMS",
-    "ESTIMATORS",
-    "FORM_FACTOR_FILES",
-    "GENERATORS",
-    "LIGHTMAP_MESHES",
-    "LINE_POINTS",
-    "MAIN_SHARE",
-    "REPLICATES",
-    "SINGLE_LINES",
-    "SOLUTION_FILES",
-    "SOLVERS",
-    "STEFAN_BOLTZMANN",
-    "ABuffer",
-    "AmbientTerm",
-    "Backend",
-    "BoxWalls",
-    "Bundles",
-    "CastLines",
-    "CastingSettings",
-    "ChainedRays",
-    "DividedMultipath",
-    "Estimator",
-    "FirstShot",
-    "FormFactors",
-    "FormatError",
-    "GltfMesh",
-    "GreatCircle",
-    "GroupSettings",
-    "HierarchicalAmbient",
-    "HierarchicalCasting",
-    "HierarchicalCastingSettings",
-    "HierarchicalMultipath",
-    "HierarchicalMultipathSettings",
-    "HierarchicalSolution",
-    "Lightmap",
-    "LineCasting",
-    "LineEngine",
-    "LineGenerator",
-    "Lines",
-    "LocalRays",
-    "MeshDiagnosis",
-    "MixedSegments",
-    "Multipath",
-    "MultipathPasses",
-    "MultipathSettings",
-    "Objects",
-    "Part",
-    "PartProblem",
-    "PartialSegments",
-    "Particles",
-    "PatchError",
-    "PatchProblem",
-    "Patches",
-    "RadiosityError",
-    "RayScene",
-    "Segments",
-    "Solution",
-    "Solver",
-    "SpherePairs",
-    "SphereTree",
-    "SpiralPoints",
-    "SubScene",
-    "SurfaceError",
-    "TexturedMesh",
-    "Transport",
-    "TreeBundles",
-    "TreeRays",
-    "VertexRadiosity",
-    "allocated",
-    "ambient_solution",
-    "area_form_factors",
-    "area_shares",
-    "atlas",
-    "band_shares",
-    "box",
-    "breadth_first",
-    "check_absorption",
-    "check_balance",
-    "check_colours",
-    "check_coordinates",
-    "check_direct",
-    "check_divisible",
-    "check_file",
-    "check_text_size",
-    "coloured_mesh",
-    "depth_first",
-    "diagnose",
-    "entry_bytes",
-    "estimate",
-    "exact_form_factors",
-    "find_objects",
-    "finished",
-    "first_shot",
-    "form_factors",
-    "gebhart_factors",
-    "gltf_mesh",
-    "grouped",
-    "hierarchical_ambient",
-    "instanced_patches",
-    "is_balanced",
-    "joined",
-    "least_error_shares",
-    "lightmap",
-    "local_form_factors",
-    "multipath",
-    "multipath_bundles",
-    "pair_errors",
-    "part_boxes",
-    "part_of",
-    "partial_form_factors",
-    "radiosity_on",
-    "read_form_factors",
-    "read_patches",
-    "read_segments",
-    "read_solution",
-    "relative_error",
-    "save_form_factors",
-    "save_lightmap",
-    "save_segments",
-    "save_solution",
-    "save_textured_mesh",
-    "scene_mesh",
-    "scene_part",
-    "scene_patches",
-    "shot_at_patches",
-    "small_emitters",
-    "solution_metadata",
-    "solve",
-    "sphere_tree",
-    "spread",
-    "sub_scenes",
-    "sub_scenes_of",
-    "thermal",
-    "vertex_radiosity",
-    "with_local_rays",
-    "write_gltf",
-]
+from .lines.local import LocalRays as LocalRays
+from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as with_local_rays
+from .lines.segments import Segments as Segments
+from .lines.sequences import LINE_POINTS as LINE_POINTS
+from .lines.spiral import SpiralPoints as SpiralPoints
+from .problem import PatchProblem as PatchProblem
+from .solvers.absorption import check_absorption as check_absorption
+from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles
+from .solvers.multipath_passes import MultipathPasses as MultipathPasses, MultipathSettings as MultipathSettings
+from .solvers.particles import Particles as Particles, breadth_first as breadth_first, depth_first as depth_first
+from .solvers.shot import (
+    FirstShot as FirstShot,
+    first_shot as first_shot,
+    shot_at_patches as shot_at_patches,
+    small_emitters as small_emitters,
+)
+from .solvers.system import (
+    SOLVERS as SOLVERS,
+    Solution as Solution,
+    Solver as Solver,
+    Transport as Transport,
+    check_direct as check_direct,
+    solve as solve,
+)
+from .solvers.values import check_colours as check_colours, radiosity_on as radiosity_on

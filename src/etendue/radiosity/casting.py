@@ -18,13 +18,13 @@ from etendue.core import (
     Pass,
     Record,
     Result,
+    Settings as AnySettings,
     State,
     free_memory,
     logger,
     seed_key,
     setting,
 )
-from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol
 from etendue.surfaces import Patches, RayScene
 

@@ -17,8 +17,7 @@ from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError
 
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
-from .capability import check as check_scene
-from .capability import check_light
+from .capability import check as check_scene, check_light
 from .changes.transforms import settle_transforms
 from .editing import Change
 from .graph import name as element_name

@@ -1,9 +1,7 @@
 """Viewer: a scene live in the browser."""
 
-from .opening import Viewer, view
-from .panels import Panel
-from .refining import is_picture
-from .session import Session
-from .states import Asked
-
-__all__ = ["Asked", "Panel", "Session", "Viewer", "is_picture", "view"]
+from .opening import Viewer as Viewer, view as view
+from .panels import Panel as Panel
+from .refining import is_picture as is_picture
+from .session import Session as Session
+from .states import Asked as Asked

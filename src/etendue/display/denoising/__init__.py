@@ -1,21 +1,12 @@
 """Denoisers of linear pictures: filters on the device, non-local means, Intel Open Image Denoise; one table of them."""
 
-from .choosing import RADIUS, Filter, parse_filters
-from .pictures import Features, Picture, component_names, find_features, part_names
-from .registry import DENOISERS, Denoiser, denoiser
-from .restoring import restored
-
-__all__ = [
-    "DENOISERS",
-    "RADIUS",
-    "Denoiser",
-    "Features",
-    "Filter",
-    "Picture",
-    "component_names",
-    "denoiser",
-    "find_features",
-    "parse_filters",
-    "part_names",
-    "restored",
-]
+from .choosing import RADIUS as RADIUS, Filter as Filter, parse_filters as parse_filters
+from .pictures import (
+    Features as Features,
+    Picture as Picture,
+    component_names as component_names,
+    find_features as find_features,
+    part_names as part_names,
+)
+from .registry import DENOISERS as DENOISERS, Denoiser as Denoiser, denoiser as denoiser
+from .restoring import restored as restored

@@ -1,29 +1,14 @@
 """Densities that can be sampled, evaluated and learned."""
 
 from .factors import (
-    AxisBins,
-    CellGrid,
-    Factor,
-    PlaneBins,
-    Tabulated,
-    Warped,
-    bin_values,
-    bisect,
-    warp_rows,
+    AxisBins as AxisBins,
+    CellGrid as CellGrid,
+    Factor as Factor,
+    PlaneBins as PlaneBins,
+    Tabulated as Tabulated,
+    Warped as Warped,
+    bin_values as bin_values,
+    bisect as bisect,
+    warp_rows as warp_rows,
 )
-from .product import Density, ProductDensity, Warp
-
-__all__ = [
-    "AxisBins",
-    "CellGrid",
-    "Density",
-    "Factor",
-    "PlaneBins",
-    "ProductDensity",
-    "Tabulated",
-    "Warp",
-    "Warped",
-    "bin_values",
-    "bisect",
-    "warp_rows",
-]
+from .product import Density as Density, ProductDensity as ProductDensity, Warp as Warp

@@ -20,8 +20,7 @@ import mitsuba as mi
 from etendue.core import OptionError, setting
 from etendue.film import Component
 from etendue.scene import Problem
-from etendue.transport import CameraPath, CameraSampler, FirstHits, Recording, Walker, WalkVertex
-from etendue.transport import dimensions as dim
+from etendue.transport import CameraPath, CameraSampler, FirstHits, Recording, Walker, WalkVertex, dimensions as dim
 
 from .. import radius as radii
 from ..base import STEP_LANES, ImageSettings

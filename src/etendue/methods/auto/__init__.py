@@ -1,6 +1,11 @@
 """Vertex connection and merging with sample counts that are chosen while it renders."""
 
-from .efficiency import Learned, Work
-from .method import CANDIDATES, FIXED, LEARNER, Auto, AutoSettings, describe
-
-__all__ = ["CANDIDATES", "FIXED", "LEARNER", "Auto", "AutoSettings", "Learned", "Work", "describe"]
+from .efficiency import Learned as Learned, Work as Work
+from .method import (
+    CANDIDATES as CANDIDATES,
+    FIXED as FIXED,
+    LEARNER as LEARNER,
+    Auto as Auto,
+    AutoSettings as AutoSettings,
+    describe as describe,
+)

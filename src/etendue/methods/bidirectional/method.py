@@ -54,8 +54,7 @@ from etendue.transport import (
     needs_interaction,
 )
 
-from .. import base
-from .. import radius as radii
+from .. import base, radius as radii
 from ..base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
 from ..numbers import path_numbers
 from ..store import Group, VertexRoom, check_pyramid, concatenated

@@ -19,6 +19,7 @@ from etendue.transport import (
     CameraConnection,
     CameraSink,
     CameraWalk,
+    Contribution as Weighted,
     LightCache,
     LightVertices,
     LightWalk,
@@ -26,10 +27,9 @@ from etendue.transport import (
     Sink,
     SplatPlace,
     Techniques,
+    dimensions as dim,
     needs_interaction,
 )
-from etendue.transport import Contribution as Weighted
-from etendue.transport import dimensions as dim
 
 from ..base import ImageMethod, keep_finite
 from .targets import ROULETTE, Contribution, Traced, camera_slots, film_place, light_slots

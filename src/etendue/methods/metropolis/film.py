@@ -12,8 +12,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.integration import Layout
-from etendue.transport import CameraPath, DirectWeights, LightWalk, Mis, Techniques, Walker
-from etendue.transport import dimensions as dim
+from etendue.transport import CameraPath, DirectWeights, LightWalk, Mis, Techniques, Walker, dimensions as dim
 
 from ..base import keep_finite
 from ..path import traced

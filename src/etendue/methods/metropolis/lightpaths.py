@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, SampleSource
 from etendue.scene import LightTable, Material, Members, bsdfs
-from etendue.transport import EmittedRay, GivenNumbers, Proposal, Vertex, emit, scatter_light
-from etendue.transport import dimensions as dim
+from etendue.transport import EmittedRay, GivenNumbers, Proposal, Vertex, dimensions as dim, emit, scatter_light
 
 from .. import base
 

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from etendue.core import IndependentSource, OptionError, SampleSource, on_device, setting
 from etendue.film import COMPONENTS
 from etendue.integration import Layout, Slot
-from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniques
-from etendue.transport import dimensions as dim
+from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniques, dimensions as dim
 
 from ..base import ImageMethod, ImageSettings, keep_finite
 from .method import MetropolisMethod, MetropolisSettings

@@ -13,8 +13,7 @@ import numpy as np
 
 from etendue.core import Array, SampleSource
 from etendue.integration import Layout, Slot
-from etendue.transport import CameraPath, DirectWeights, Walker
-from etendue.transport import dimensions as dim
+from etendue.transport import CameraPath, DirectWeights, Walker, dimensions as dim
 
 from ..base import ImageMethod, keep_finite
 from ..path import traced

@@ -9,8 +9,7 @@ from typing import ClassVar, Literal, cast
 
 import numpy as np
 
-from etendue.core import CheckpointError, Measurement, seed_key, setting
-from etendue.core import Settings as AnySettings
+from etendue.core import CheckpointError, Measurement, Settings as AnySettings, seed_key, setting
 from etendue.points import PointSet
 from etendue.surfaces import Objects, Patches
 

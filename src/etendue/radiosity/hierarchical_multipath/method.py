@@ -16,13 +16,13 @@ from etendue.core import (
     Measurement,
     Pass,
     Result,
+    Settings as AnySettings,
     State,
     free_memory,
     logger,
     seed_key,
     setting,
 )
-from etendue.core import Settings as AnySettings
 from etendue.points import PointSet
 
 from ..errors import RadiosityError

@@ -7,8 +7,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from etendue.core import Array, CheckpointError, Iterations, Measurement, Pass, Result, State, setting
-from etendue.core import Settings as AnySettings
+from etendue.core import (
+    Array,
+    CheckpointError,
+    Iterations,
+    Measurement,
+    Pass,
+    Result,
+    Settings as AnySettings,
+    State,
+    setting,
+)
 from etendue.surfaces import Patches, RayScene
 
 from ..errors import RadiosityError

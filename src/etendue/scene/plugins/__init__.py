@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from etendue.core import check_variant
 
-from .composed import composed_bsdf
+from .composed import composed_bsdf as composed_bsdf
 from .focusarea import make_focusarea
 from .mipmap import make_mipmap
 from .phong import PhongLobe
@@ -24,7 +24,6 @@ from .ward import WardLobe
 if TYPE_CHECKING:
     import mitsuba as mi
 
-__all__ = ["composed_bsdf", "register"]
 
 _BSDFS = {"phong": lambda: make_reflection(PhongLobe), "ward": lambda: make_reflection(WardLobe)}
 _EMITTERS = {"focusarea": make_focusarea}

@@ -65,7 +65,7 @@ class Resolution:
 
 
 class CellEmission:
-    """Emission from a density that is constant in cells; see :class:`~.numbers.Emission`.
+    """Emission from a density that is constant in cells; see :class:`~.numbers.EmissionScheme`.
 
     probability: (lights * cells,) of each cell.
     """
@@ -86,7 +86,7 @@ class CellEmission:
         self._density = copied_to_device(mi.Float, density.astype(np.float32))
 
     def __call__(self, lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
-        """See :class:`~.numbers.Emission`."""
+        """See :class:`~.numbers.EmissionScheme`."""
         u = source.next_1d(0, dim.LIGHT_PICK)
         cell = dr.binary_search(0, len(self.probability) - 1, lambda i: dr.gather(mi.Float, self._sums, i, active) <= u)
         density = dr.gather(mi.Float, self._density, cell, active)

@@ -21,7 +21,7 @@ from .. import dimensions as dim
 from ..emission import EmittedRay, emit
 
 
-class Emission(Protocol):
+class EmissionScheme(Protocol):
     """A way to sample rays from lights."""
 
     def __call__(self, lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
@@ -70,7 +70,7 @@ class UniformLights:
     """All lights equally often, whatever their power."""
 
     def __call__(self, lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
-        """See :class:`Emission`."""
+        """See :class:`EmissionScheme`."""
         light, pick = self.pick(lights, source, active)
         point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
         direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
@@ -91,7 +91,7 @@ class BlindEmission:
     directions of other lights are those of ``emit``."""
 
     def __call__(self, lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
-        """See :class:`Emission`."""
+        """See :class:`EmissionScheme`."""
         light, pick = UniformLights.pick(lights, source, active)
         u = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
         # A direction of a surface is a point of the unit disc with 1 - r^2 = cos^(n + 2).

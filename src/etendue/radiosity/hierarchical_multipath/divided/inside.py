@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array
-from etendue.core import Settings as AnySettings
+from etendue.core import Array, Settings as AnySettings
 
 from ...errors import RadiosityError
 from ..exchange import Exchange
