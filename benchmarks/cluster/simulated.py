@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from etendue.core import Iterations, Measurement, Pass
+from etendue.core import Iterations, Measurement, Method, Pass
 from etendue.distributed import Arrival, Lost, Recipe, Spread
 from etendue.distributed.content import Offered
 from etendue.distributed.gathering import Bundle, Gathering, held_by_others
@@ -247,22 +247,14 @@ class SimulatedPool:
         self._gather()
 
 
-class _Passes:
+class _Passes(Method):
     """A method whose passes are made by nobody."""
 
     name: ClassVar[str] = "simulated"
-    citations: ClassVar[tuple[str, ...]] = ()
-    carries_on: ClassVar[bool] = False
     samples_per_iteration = 1
-    Settings: ClassVar[Any] = None
     settings: Any = None
 
     def prepare(self, problem: Any, seed: int) -> None: ...
-
-    def start(self) -> dict[str, Any]:
-        return {}
-
-    def enter(self, state: Any) -> None: ...
 
     def step(self, iteration: int, seed: int, state: Any) -> Pass:
         raise NotImplementedError

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from etendue.core import Iterations, Measurement, Pass, Result, Settings, State, setting
+from etendue.core import Iterations, Measurement, Method, Pass, Result, Settings, State, setting
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,11 @@ class NoiseSettings(Settings):
     samples_per_pass: int = setting(1, "samples of a pass", minimum=0)
 
 
-class Noise:
+class Noise(Method):
     """Each pass is noise around 1; deterministic in (seed, iteration)."""
 
     name: ClassVar[str] = "noise"
     Settings: ClassVar[type[Settings]] = NoiseSettings
-    citations: ClassVar[tuple[str, ...]] = ()
-    carries_on: ClassVar[bool] = False
 
     def __init__(self, settings: NoiseSettings | None = None) -> None:
         self.settings = settings or NoiseSettings()

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from etendue.core import Iterations, Measurement, Pass
+from etendue.core import Iterations, Measurement, Method, Pass
 from etendue.distributed import Arrival, Lost, Recipe, Spread
 from etendue.distributed.content import Offered, Store
 from etendue.distributed.pool import Delivered
@@ -27,13 +27,11 @@ class Settings:
         return "{}"
 
 
-class Powers:
+class Powers(Method):
     """Pass i adds a whole number of which every pass has another one, so that a sum tells which passes are in it."""
 
     name: ClassVar[str] = "powers"
     Settings: ClassVar[Any] = Settings
-    citations: ClassVar[tuple[str, ...]] = ()
-    carries_on: ClassVar[bool] = False
     samples_per_iteration = 1
 
     def __init__(self, settings: Any = None) -> None:
@@ -41,12 +39,6 @@ class Powers:
 
     def prepare(self, problem: Any, seed: int) -> None:
         self.seed = seed
-
-    def start(self):
-        return {}
-
-    def enter(self, state):
-        pass
 
     def value(self, iteration: int, seed: int, state: Any) -> float:
         return float(pow(3, iteration + 1, 1_000_003))

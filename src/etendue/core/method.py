@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from .frozen import uncollected
 from .measurement import Measurement
 from .notebooks import InNotebooks
-from .settings import Settings as AnySettings
 
 
 @dataclass
@@ -57,8 +56,7 @@ class Pass:
     state: State
 
 
-@runtime_checkable
-class Method(Protocol):
+class Method(ABC):
     """An estimator that runs in passes.
 
     ``prepare`` builds tables and may run pilot passes with a seed role of their own. ``step`` is one pass, a function
@@ -67,53 +65,79 @@ class Method(Protocol):
     machine, once each. Otherwise the iterations of a replica run one after the other; replicas, with a seed and a state
     each, may share a method object. Only ``develop`` divides, normalises or combines.
 
-    A method may also have these members:
-
-    - ``noise(measurement) -> float | None``: the variance of its result, for methods whose error is not that of pixels;
-      budgets and progress use it instead of the variance of ``image``. It is evaluated again after the number of passes
-      has grown by the factor ``1 + error_cadence``.
-    - ``setup_seconds``: time of the first ``step`` for work that later steps do not repeat (a probe); it is subtracted
-      in the prediction of the next pass.
-    - ``finish_seconds(measurement) -> float``: time of the work after the last ``step``; a run with a budget in seconds
-      ends earlier by this time.
-    - ``plan(seconds, passes, error)``: called before the first ``step`` of a run with its budget, ``None`` for each
-      quantity without a limit. ``passes`` is the number still to be made. The time of preparation is not subtracted
-      from ``seconds``, so that decisions by ``seconds`` do not depend on the clock.
+    The members after ``develop`` are hooks: the engine calls them, and a method overrides those that it needs.
     """
 
     name: ClassVar[str]
     Settings: ClassVar[Any]  #: the class of ``settings``
     #: Keys in ``core/bibliography.bib`` of the papers that the method implements.
-    citations: ClassVar[tuple[str, ...]]
+    citations: ClassVar[tuple[str, ...]] = ()
     #: Whether a pass depends on the state after the previous one.
-    carries_on: ClassVar[bool]
-    settings: AnySettings
+    carries_on: ClassVar[bool] = False
+    settings: Any
 
     @property
+    @abstractmethod
     def samples_per_iteration(self) -> int:
-        """Camera paths per pixel of one ``step``, the unit of a budget in samples."""
-        ...
+        """Samples of one ``step``, the unit of a budget in samples; of pictures, camera paths per pixel."""
 
+    @abstractmethod
     def prepare(self, problem: Any, seed: int) -> None:
         """Build the tables that all passes share. ``problem`` is a ``scene.Problem`` for image methods."""
-        ...
 
     def start(self) -> State:
         """The state before the first pass of a replica, including constants measured by ``prepare``."""
-        ...
+        return {}
 
-    def step(self, iteration: int, seed: int, state: State) -> Pass:
-        """One pass. ``iteration`` counts from 0."""
-        ...
-
-    def enter(self, state: State) -> None:
+    def enter(self, state: State) -> None:  # noqa: B027 (without a state there is nothing to load)
         """Load ``state``, as ``step`` also does. Raises :class:`CheckpointError` for a state that does not fit this
         method and problem."""
-        ...
 
+    @abstractmethod
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
+        """One pass. ``iteration`` counts from 0."""
+
+    @abstractmethod
     def develop(self, measurement: Measurement, state: State) -> Result:
         """The picture of the passes in ``measurement``; ``state``: the state after the last pass."""
-        ...
+
+    # ------------------------------------------------------------------ hooks
+
+    #: Passes of a run with a budget in samples, if there are as many samples.
+    least_passes: int = 1
+    #: Seconds of the first ``step`` for work that later steps do not repeat (a probe); subtracted in the prediction of
+    #: the next pass.
+    setup_seconds: float = 0.0
+    #: Whether ``noise`` is fast enough to be evaluated after each pass when a run is about to reach its error.
+    has_fast_noise: ClassVar[bool] = True
+
+    @property
+    def error_cadence(self) -> float:
+        """``noise`` is evaluated again after the number of passes has grown by the factor ``1 + error_cadence``."""
+        return 0.05
+
+    def samples_for(self, problem: Any) -> int | None:
+        """:attr:`samples_per_iteration` before :meth:`prepare`; ``None`` if only ``prepare`` determines it."""
+        return None
+
+    def noise(self, measurement: Measurement) -> float | None:
+        """Variance of the result, which budgets and progress use; by default that of the pixels of ``image``. ``None``
+        if it is not known."""
+        return measurement.relative_error() if measurement.has_error() else None
+
+    def finish_seconds(self, measurement: Measurement) -> float:
+        """Seconds of the work after the last ``step``; a run with a budget in seconds ends earlier by this time."""
+        return 0.0
+
+    def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:  # noqa: B027
+        """Called before the first ``step`` of a run with its budget, ``None`` for each quantity without a limit.
+        ``passes`` is the number still to be made. The time of preparation is not subtracted from ``seconds``, so that
+        decisions by ``seconds`` do not depend on the clock."""
+
+    @classmethod
+    def plugin_name(cls) -> str:
+        """Name of the Mitsuba integrator, "" if there is none."""
+        return ""
 
 
 class _Prepares(Protocol):

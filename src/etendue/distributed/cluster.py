@@ -45,7 +45,7 @@ class Cluster:
         if state is not None:
             state = {"replicas": [state], "passes": [done.next_iteration()]}
         count = len(self.pool.workers()) if state is None else 1
-        return Replicated(method, problem, seed, count), state  # type: ignore[return-value]
+        return Replicated(method, problem, seed, count), state
 
     def executor(
         self, made: Recipe, attributes: Mapping[str, Any] | None = None, longest: int | None = None

@@ -332,8 +332,7 @@ class _Desk:
             method, at, state = run.methods[replica]
         else:
             method = run.opened.method(seed)
-            if (plan := getattr(method, "plan", None)) is not None:
-                plan(*chunk.plan)
+            method.plan(*chunk.plan)
             at, state = 0, method.start()
         if chunk.state is not None:
             at, state = chunk.first, chunk.state

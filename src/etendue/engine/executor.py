@@ -22,7 +22,7 @@ class Order:
     most: int | None = None
     #: Seconds that are left for passes now; ``None`` for no limit.
     left: Callable[[], float | None] = lambda: None
-    #: Arguments of the method's ``plan``, if it has that function.
+    #: Arguments of the method's ``plan``.
     plan: tuple[float | None, int | None, float | None] = (None, None, None)
 
 

@@ -9,19 +9,19 @@ from etendue.scene import Problem
 
 
 def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Method:
-    """``method``, or a copy whose passes divide ``samples`` (camera paths per pixel) by :func:`fitting_samples`. A
-    method may have an attribute ``least_passes``: so many passes, if there are as many samples.
+    """``method``, or a copy whose passes divide ``samples`` (camera paths per pixel) by :func:`fitting_samples`.
 
-    The result is prepared for ``problem`` with ``seed``. ``method`` is prepared only if it lacks ``samples_for``, which
-    tells the samples of a pass beforehand: preparing may take as long as a pass. Of a given ``samples_per_pass`` and of
+    The result is prepared for ``problem`` with ``seed``. ``method`` is prepared beforehand only if
+    ``samples_for`` does not know the samples of a pass (preparing may take as long as a pass); the caller then
+    does it. Of a given ``samples_per_pass`` and of
     a method without this setting the passes remain as they are.
     """
-    tells: Any = getattr(method, "samples_for", None)
-    chosen = tells(problem) if tells else method.samples_per_iteration
-    most = min(chosen, max(1, samples // int(getattr(method, "least_passes", 1))))
+    known = method.samples_for(problem)
+    chosen = method.samples_per_iteration if known is None else known
+    most = min(chosen, max(1, samples // method.least_passes))
     fitting = fitting_samples(samples, most)
     if fitting == chosen or getattr(method.settings, "samples_per_pass", 1) != 0:
-        return prepared(method, problem, seed) if tells else method
+        return method if known is None else prepared(method, problem, seed)
     kind: Any = type(method)
     fitted: Method = prepared(kind(method.settings.replace(samples_per_pass=fitting)), problem, seed)
     return fitted

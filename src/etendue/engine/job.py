@@ -59,7 +59,7 @@ class Task:
     """
 
     scene: Any
-    method: type[Any]  #: implements ``core.Method``; called with its settings
+    method: type[Method]
     settings: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     budget: Budget = field(default_factory=Budget)
@@ -162,8 +162,9 @@ class Job:
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method: Method = task.method(task_settings(task, problem))
-        if budget.samples is None or not hasattr(method, "samples_for"):
+        kind: Any = task.method
+        method: Method = kind(task_settings(task, problem))
+        if budget.samples is None or method.samples_for(problem) is None:
             method = prepared(method, problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
@@ -296,8 +297,7 @@ def task_settings(task: Task, problem: Problem) -> Settings:
     """The settings of a method: given ones first, then those of the scene's integrator, then the defaults."""
     known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
-    plugin: Any = getattr(task.method, "plugin_name", str)()
-    if problem.integrator and problem.integrator in (task.method.name, plugin):
+    if problem.integrator and problem.integrator in (task.method.name, task.method.plugin_name()):
         unknown = sorted(problem.integrator_options.keys() - set(known))
         if unknown:
             logger.warning(

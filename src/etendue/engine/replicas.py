@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from etendue.core import CheckpointError, Measurement, Method, OptionError, Pass, Result, State, prepared, seed_key
 
@@ -16,14 +16,15 @@ def replica_seed(seed: int, replica: int) -> int:
     return (high << 32 | low) & 0x7FFFFFFFFFFFFFFF
 
 
-class Replicated:
-    """``count`` replicas of a prepared method as one method. Implements ``core.Method``; other members are those of the
-    method.
+class Replicated(Method):
+    """``count`` replicas of a prepared method as one method, whose members it has.
 
     Its state holds the state and the number of passes of each replica. :meth:`step` makes a pass of the replica with
     the fewest passes; an executor may make passes of all replicas at the same time. The number of replicas is part of
     the identity of a run: a resumed run has the same number.
     """
+
+    carries_on: ClassVar[bool] = True
 
     def __init__(self, method: Method, problem: Any, seed: int, count: int) -> None:
         if count < 1:
@@ -33,10 +34,16 @@ class Replicated:
         self._methods: dict[int, Method] = {0: method}
         self._plan: tuple[float | None, int | None, float | None] | None = None
 
-    def __getattr__(self, name: str) -> Any:
-        if name == "method":  # not set yet
-            raise AttributeError(name)
-        return getattr(self.method, name)
+        self.name, self.settings = method.name, method.settings  # type: ignore[misc]
+
+    @property
+    def samples_per_iteration(self) -> int:
+        """See ``core.Method``."""
+        return self.method.samples_per_iteration
+
+    def prepare(self, problem: Any, seed: int) -> None:
+        """Prepare the first replica; the others are prepared when they begin."""
+        self.method.prepare(problem, seed)
 
     @classmethod
     def replicas_of(cls, state: State) -> int | None:
@@ -72,6 +79,24 @@ class Replicated:
         result.metadata["replicas"] = self.count
         return result
 
+    @property
+    def setup_seconds(self) -> float:  # type: ignore[override]
+        """See ``core.Method``."""
+        return self.method.setup_seconds
+
+    @property
+    def error_cadence(self) -> float:
+        """See ``core.Method``."""
+        return self.method.error_cadence
+
+    def noise(self, measurement: Measurement) -> float | None:
+        """See ``core.Method``."""
+        return self.method.noise(measurement)
+
+    def finish_seconds(self, measurement: Measurement) -> float:
+        """See ``core.Method``."""
+        return self.method.finish_seconds(measurement)
+
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See ``core.Method``."""
         self._plan = seconds, passes, error
@@ -79,8 +104,8 @@ class Replicated:
             self._tell(method)
 
     def _tell(self, method: Method) -> None:
-        if self._plan is not None and (hook := getattr(method, "plan", None)) is not None:
-            hook(*self._plan)
+        if self._plan is not None:
+            method.plan(*self._plan)
 
     def _of(self, replica: int) -> Method:
         if replica not in self._methods:
@@ -94,4 +119,4 @@ class Replicated:
 def replicated(method: Method, state: Mapping[str, Any], problem: Any, seed: int) -> Method:
     """The method of a saved state: with replicas, if the state is that of replicas."""
     count = Replicated.replicas_of(state)
-    return method if count is None else Replicated(method, problem, seed, count)  # type: ignore[return-value]
+    return method if count is None else Replicated(method, problem, seed, count)

@@ -179,12 +179,11 @@ class Runner:
         return self._result(reason, self._saving.passed(reached))
 
     def _order(self) -> Order:
-        """The order for the executor. Calls ``plan`` of a method that has it."""
+        """The order for the executor."""
         done = self._measurement.iterations if self._measurement is not None else Iterations()
         most = self.budget.passes(self.method.samples_per_iteration)
         plan = self.budget.seconds, None if most is None else max(0, most - len(done)), self.budget.error
-        if (hook := getattr(self.method, "plan", None)) is not None:
-            hook(*plan)
+        self.method.plan(*plan)
         return Order(self.method, self.seed, self._state, done, most, self._left, plan)
 
     def _left(self) -> float | None:

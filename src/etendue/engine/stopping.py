@@ -14,9 +14,9 @@ from .budget import Budget
 #: pass raised.
 StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running"]
 
-#: Relative growth of the number of passes between two estimates of the noise; independent of time, so that runs are
-#: reproducible.
-ERROR_CADENCE = 0.05
+#: Smallest relative growth of the number of passes between two slow estimates of the noise; independent of time, so
+#: that runs are reproducible.
+_LEAST_GROWTH = 0.05
 #: Smallest number of passes after which an estimate of the noise may end a run. With fewer passes the estimate is too
 #: noisy, and all passes may miss light that is rarely found, and agree on a picture that is too dark.
 LEAST_PASSES_FOR_ERROR = 16
@@ -78,16 +78,13 @@ class Stopping:
     def look(self, measurement: Measurement) -> None:
         """Estimate the noise again, if the number of passes has grown enough since the last estimate."""
         passes = len(measurement.iterations)
-        # A method whose error is not that of pixels estimates its error, and says how often.
-        estimate = getattr(self.method, "noise", None)
-        is_known = estimate is not None or measurement.has_error()
-        if passes < self._next_error or not (self._watched and is_known):
+        if passes < self._next_error or not self._watched:
             return
-        self._error = error = measurement.relative_error() if estimate is None else estimate(measurement)
-        step = math.ceil(getattr(self.method, "error_cadence", ERROR_CADENCE) * passes)
+        self._error = error = self.method.noise(measurement)
+        step = math.ceil(self.method.error_cadence * passes)
         if self.budget.error is not None and error is not None and math.isfinite(error):
             # Noise decreases as 1 / passes: estimate again when the target should be reached at the latest.
-            least = 1 if estimate is None else math.ceil(ERROR_CADENCE * passes)
+            least = 1 if self.method.has_fast_noise else math.ceil(_LEAST_GROWTH * passes)
             step = min(step, max(least, math.ceil(passes * (error / self.budget.error - 1.0))))
         self._next_error = passes + max(1, step)
 
@@ -126,13 +123,12 @@ class Stopping:
         if measurement is None:
             return 0.0
         if self._finish_seconds is None:
-            finish = getattr(self.method, "finish_seconds", None)
-            self._finish_seconds = 0.0 if finish is None else float(finish(measurement))
+            self._finish_seconds = float(self.method.finish_seconds(measurement))
         return self._finish_seconds
 
     def _predict(self) -> float:
         """Predicted seconds of the next pass, an upper estimate."""
         if self._done == 1:  # the first pass includes compilation
-            return 0.5 * max(0.0, self._durations[0][0] - getattr(self.method, "setup_seconds", 0.0))
+            return 0.5 * max(0.0, self._durations[0][0] - self.method.setup_seconds)
         recent = [seconds for seconds, _, _ in self._durations][-min(len(self._durations), self._done - 1) :]
         return max(recent)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
@@ -19,6 +19,7 @@ from etendue.core import (
     IndependentSource,
     Iterations,
     Measurement,
+    Method,
     OptionError,
     Pass,
     Result,
@@ -173,26 +174,18 @@ class CameraSettings(ImageSettings):
     reweight: bool = setting(False, REWEIGHT)
 
 
-class ImageMethod(ABC):
+class ImageMethod(Method):
     """Base of the methods that render an image pass by pass. A subclass implements ``render_pass``, sets ``Settings``
     and declares its class as the type of ``settings``."""
 
     name: ClassVar[str]
     Settings: ClassVar[type[ImageSettings]]
-    citations: ClassVar[tuple[str, ...]] = ()
     #: Name of the Mitsuba integrator, if it is not ``name``; "" if there is none. Not inherited.
     plugin: ClassVar[str | None] = None
-    #: Whether a pass depends on the state of the pass before. Each run then needs a method that was prepared with its
-    #: own seed; for other methods the seed of ``prepare`` matters for pilot passes only.
-    carries_on: ClassVar[bool] = False
     #: Whether all camera paths of a pass have the same offset in their pixel, unless ``reconstruction=independent``.
     one_place = False
-    #: An instance of ``Settings``.
-    settings: Any
     #: The method for a scene whose lamps are all switched off, if it is another one.
     in_the_dark: ClassVar[type[ImageMethod] | None] = None
-    #: Passes of a run, if there are as many samples.
-    least_passes: int = 1
     #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
     recording = Recording()  #: of the rays of the next walks
@@ -251,13 +244,6 @@ class ImageMethod(ABC):
         """Camera paths of a pass if ``samples_per_pass`` is 0."""
         is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
         return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _MOST_FULL)
-
-    def start(self) -> State:
-        """The empty state: passes do not depend on each other."""
-        return {}
-
-    def enter(self, state: State) -> None:  # noqa: B027 (a method without state need not override it)
-        """See :class:`etendue.core.Method`."""
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""

@@ -18,6 +18,7 @@ import numpy as np
 from etendue.core import (
     Iterations,
     Measurement,
+    Method,
     OptionError,
     Pass,
     Record,
@@ -104,8 +105,8 @@ class ParticleSettings(Settings):
     )
 
 
-class ParticleTracing:
-    """Hits of light paths on surfaces as particles; implements ``core.Method``, without state.
+class ParticleTracing(Method):
+    """Hits of light paths on surfaces as particles.
 
     A measurement has the record ``particles`` (:data:`etendue.particles.Rows`, in the scene's units, ordered by path;
     the power is not divided by the number of paths) and the counters ``paths``, ``particles`` and ``rays``. A sample of
@@ -113,10 +114,8 @@ class ParticleTracing:
     """
 
     name: ClassVar[str] = "particles"
-    carries_on: ClassVar[bool] = False
     Settings: ClassVar[type[Settings]] = ParticleSettings
     citations: ClassVar[tuple[str, ...]] = ("Jensen1996", "Leeson2001")
-    settings: Any
 
     def __init__(self, settings: ParticleSettings | None = None) -> None:
         self.settings = settings if settings is not None else ParticleSettings()
@@ -202,13 +201,6 @@ class ParticleTracing:
     def paths_for(self, particles: int) -> int:
         """Light paths that leave about this number of particles."""
         return max(1, math.ceil(particles / self.per_path))
-
-    def start(self) -> State:
-        """See ``core.Method``: there is no state."""
-        return {}
-
-    def enter(self, state: State) -> None:
-        """See ``core.Method``."""
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """Trace the paths of a pass."""

@@ -15,6 +15,7 @@ from etendue.core import (
     CheckpointError,
     Iterations,
     Measurement,
+    Method,
     Pass,
     Record,
     Result,
@@ -76,8 +77,8 @@ class CastingSettings(AnySettings):
     bundles_per_pass: int = setting(0, "bundles of a pass, 0 for the engine's choice", minimum=0)
 
 
-class LineCasting:
-    """Bundles of lines through patches, some with each :meth:`step`; implements ``core.Method``.
+class LineCasting(Method):
+    """Bundles of lines through patches, some with each :meth:`step`.
 
     A measurement holds the segments of its passes as a record, the number of bundles, and sums of the first shot.
     Passes are independent: the results of :meth:`segments` and :meth:`shot` depend only on the passes of a
@@ -99,8 +100,8 @@ class LineCasting:
     """
 
     name: ClassVar[str] = "global-lines"
-    carries_on: ClassVar[bool] = False
     Settings: ClassVar[type[AnySettings]] = CastingSettings
+    has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")
 
     def __init__(
@@ -154,13 +155,6 @@ class LineCasting:
         for chunk in self.engine.stream(1):
             self._time_sums([chunk])  # compiles
         self._timing[:], self._timed = 0, 0
-
-    def start(self) -> State:
-        """See ``core.Method``: there is no state."""
-        return {}
-
-    def enter(self, state: State) -> None:
-        """See ``core.Method``."""
 
     def go_on(self, measurement: Measurement) -> None:
         """Prepare for the passes after ``measurement``. If its last pass is incomplete, the next pass also casts the

@@ -34,8 +34,7 @@ class Refinement:
         # One sample a pass unless the settings give another number, so that the camera does not wait long.
         one = self.settings if self.settings.samples_per_pass else self.settings.replace(samples_per_pass=1)
         self._replica = Replica(self._prepared(kind, one), seed)
-        if (plan := getattr(self.method, "plan", None)) is not None:
-            plan(budget.seconds, budget.passes(self.method.samples_per_iteration), budget.error)
+        self.method.plan(budget.seconds, budget.passes(self.method.samples_per_iteration), budget.error)
         self.measurement: Measurement | None = None
         #: Seconds of preparation and passes.
         self.seconds = time.perf_counter() - begin
@@ -88,14 +87,7 @@ class Refinement:
         self.rays_per_second = rays / seconds if rays and seconds > 0 else None
         if self.passes >= self._next_noise:
             self._next_noise = max(self.passes + 1, self.passes * _CADENCE)
-            self.noise = self._noise()
-
-    def _noise(self) -> float | None:
-        assert self.measurement is not None
-        estimate = getattr(self.method, "noise", None)
-        if estimate is not None:
-            return estimate(self.measurement)
-        return self.measurement.relative_error() if self.measurement.has_error() else None
+            self.noise = self.method.noise(self.measurement)
 
     @property
     def state(self) -> State:

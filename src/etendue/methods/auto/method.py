@@ -131,7 +131,6 @@ class Auto(Carrying, ImageMethod):
         self._trial = Trial.none()
         self._products: dict[str, float] = {}
         self._spent = self._spent_learning = 0.0
-        self.setup_seconds = 0.0  #: of preparation and compilation within the first pass, for predictions of times
         self._caustics = self._has_specular() and (self.lights.has_area or self.lights.has_delta)
         self.plan(None, None, None)
 

@@ -27,6 +27,7 @@ from etendue.core import (
     CheckpointError,
     Iterations,
     Measurement,
+    Method,
     OptionError,
     Record,
     Result,
@@ -102,8 +103,8 @@ class MetropolisParticlesSettings(Settings):
         return self.replace(steps=length, chains=min(max(one // length, 1), self.chains))
 
 
-class MetropolisParticles(Carrying):
-    """Particles of equal luminance by Markov chains; implements ``core.Method``.
+class MetropolisParticles(Carrying, Method):
+    """Particles of equal luminance by Markov chains.
 
     A pass is ``steps`` steps of all chains, which are distributed as the incident flux. A state that a chain
     repeats is one particle with that many times the power. A measurement has the record ``particles``
@@ -115,6 +116,7 @@ class MetropolisParticles(Carrying):
     Settings: ClassVar[type[Settings]] = MetropolisParticlesSettings
     citations: ClassVar[tuple[str, ...]] = ("Leeson2001", "Metropolis1953")
     carries_on: ClassVar[bool] = True
+    has_fast_noise: ClassVar[bool] = False
 
     def __init__(self, settings: MetropolisParticlesSettings | None = None) -> None:
         self.settings: Any = settings or MetropolisParticlesSettings()

@@ -14,6 +14,7 @@ from etendue.core import (
     Array,
     Iterations,
     Measurement,
+    Method,
     Pass,
     Result,
     Settings as AnySettings,
@@ -103,9 +104,8 @@ class PartProblem:
         return digest.hexdigest()
 
 
-class HierarchicalMultipath:
-    """Multipath through a scene of parts, whose copies share their lines [Castro 2002, ch. 5]; implements
-    ``core.Method``.
+class HierarchicalMultipath(Method):
+    """Multipath through a scene of parts, whose copies share their lines [Castro 2002, ch. 5].
 
     Each pass is a whole solution. Lines are cast through every distinct part, including the root, and stored. A first
     shot sends the emission to patches. Power is then exchanged along the stored lines, from the root down, until little
@@ -120,8 +120,8 @@ class HierarchicalMultipath:
     """
 
     name: ClassVar[str] = "hierarchical-multipath"
-    carries_on: ClassVar[bool] = False
     Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
+    has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")
 
     def __init__(self, settings: HierarchicalMultipathSettings | None = None, points: MakePoints | None = None) -> None:
@@ -150,13 +150,6 @@ class HierarchicalMultipath:
         self.lines = self._shared_out()
         self._check_memory()
         self._shots = FirstShots(self.tree, self._rays) if self._options.shot and any(emits) else None
-
-    def start(self) -> State:
-        """See ``core.Method``: there is no state."""
-        return {}
-
-    def enter(self, state: State) -> None:
-        """See ``core.Method``."""
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """A solution with new lines."""

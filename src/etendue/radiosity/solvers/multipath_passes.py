@@ -12,6 +12,7 @@ from etendue.core import (
     CheckpointError,
     Iterations,
     Measurement,
+    Method,
     Pass,
     Result,
     Settings as AnySettings,
@@ -51,8 +52,8 @@ class MultipathSettings(AnySettings):
         return ChainedRays(GENERATORS[self.generator](patches), RayScene(patches), points)
 
 
-class MultipathPasses:
-    """:func:`multipath` in passes; implements ``core.Method``.
+class MultipathPasses(Method):
+    """:func:`multipath` in passes.
 
     Each pass sends the power of all patches along its lines. The power that is still unshot after a pass is the state,
     with which the next pass begins. A measurement holds the growth of the unshot power, so measurements of replicas
@@ -67,6 +68,7 @@ class MultipathPasses:
     name: ClassVar[str] = "multipath"
     carries_on: ClassVar[bool] = True
     Settings: ClassVar[type[AnySettings]] = MultipathSettings
+    has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")
 
     def __init__(self, settings: MultipathSettings | None = None) -> None:
