@@ -52,7 +52,7 @@ def develop(
     The file itself is not changed.
     """
     from etendue import display, film
-    from etendue.jobs import check_files, check_picture, save_result
+    from etendue.products import check_files, check_picture, save_result
 
     display.check_tone(exposure, tone)
     filters = display.parse_filters(denoise, radius, strength)
@@ -64,7 +64,7 @@ def develop(
     check_files(outputs)
     read = film.read_exr(picture)
     if filters:
-        from .rendering import choose_device
+        from .running import choose_device
 
         choose_device(variant, threads)
     wanted = tuple(name.strip() for name in layers.split(",")) if layers is not None else ()

@@ -39,12 +39,12 @@ def film_picture(
     from etendue.core import Result
     from etendue.engine import Checkpoint
     from etendue.film import Development
-    from etendue.jobs import Outputs, save_result
     from etendue.methods import FilmMetropolis
+    from etendue.products import Picture, save_result
 
     if not output:
         raise OptionError("name a picture, .exr or .png, by -o")
-    outputs = Outputs.of(output)
+    outputs = Picture.of(output)
     saved = Checkpoint.read(checkpoint)
     if saved.method != FilmMetropolis.name:
         raise CheckpointError(

@@ -9,26 +9,23 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from etendue.core import EtendueError, OptionError, describe, logger
+from etendue.core import EtendueError, describe, logger
 
 from . import options as opt
-from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, remember_arguments, say
 from .developing import develop
 from .film_picture import film_picture
 from .inspection.viewing import view
 from .interrupts import leaving
 from .particle_maps import app as particles
-from .particles import resume_particles
-from .pictures import compare, demo, render, run
-from .radiosity import LINES, form_factors, radiosity, resume_lines
-from .radiosity_options import OptionalName
+from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
+from .pictures import PictureCommand, compare, demo, render, run
 
 app = typer.Typer(
     name="etendue",
@@ -109,7 +106,7 @@ def root(
     """Options of the command itself."""
 
 
-app.command()(render)
+app.command(cls=PictureCommand)(render)
 
 
 @app.command()
@@ -119,23 +116,17 @@ def resume(
         typer.Argument(help="File that a rendering, radiosity or particle command wrote.", metavar="CHECKPOINT"),
     ],
     output: opt.Output = None,
-    method: Annotated[
-        str | None, typer.Option("--method", "-m", help="Not needed; must be that of the checkpoint.", metavar="NAME")
-    ] = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option("-D", "--define", help="Not needed; must be as in the checkpoint.", metavar="NAME=VALUE"),
-    ] = None,
     scene: Annotated[str | None, typer.Option(help="New path of the scene, if it has moved.", metavar="SCENE")] = None,
     time: opt.Time = None,
-    spp: opt.Spp = None,
     error: opt.Error = None,
+    spp: opt.Spp = None,
     bundles: Annotated[
-        int | None, typer.Option(help="For radiosity: stop at this many bundles of lines.", min=1, metavar="N")
+        int | None, typer.Option(help="For lines and spheres: stop at this many bundles.", min=1, metavar="N")
     ] = None,
     points: Annotated[
         int | None, typer.Option(help="For multipath: stop at this many lines.", min=1, metavar="N")
     ] = None,
+    passes: Annotated[int | None, typer.Option(help="For boxes: stop at this many passes.", min=1, metavar="N")] = None,
     paths: Annotated[
         int | None, typer.Option(help="For particles: stop at this many light paths.", min=1, metavar="N")
     ] = None,
@@ -151,75 +142,56 @@ def resume(
     workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Continue an interrupted or finished render; the checkpoint is updated.
+    """Continue an interrupted or finished run of any kind; its file is updated.
 
-    --time is additional time, --spp and --error are limits of the whole picture. Without them the rest of the
-    interrupted budget is used. Without -o the pictures with that name beside the checkpoint are updated, .exr and .png
-    (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
+    --time is additional time, other limits are those of the whole. Without them the rest of the interrupted budget is
+    used. Without -o the files of the run are written again: pictures with the checkpoint's name beside it, .exr and
+    .png (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """
-    from etendue import methods
-    from etendue.engine import Checkpoint, Job, remaining
-    from etendue.jobs import Outputs
-    from etendue.particles import is_particle_file
+    from contextlib import ExitStack
+    from dataclasses import replace
+
+    from etendue.engine import Job
+    from etendue.products import Picture, saved_task
 
     from .experiments.records import Recorder, run_of
-    from .rendering import choose_device, render_to_files
+    from .running import choose_device, render_to_files
 
-    budget = opt.budget(time, spp, error)
-    if is_particle_file(checkpoint):
-        if (spp, error, bundles, points, output, method, define) != (None,) * 7:
-            raise OptionError(f"{checkpoint} has particles: only --paths, --particles, --time and --scene apply")
-        device = opt.Device(variant, threads, cluster, workers)
-        return resume_particles(checkpoint, scene, paths, particles, time, device)
-    if (paths, particles) != (None, None):
-        raise OptionError(f"{checkpoint} is no file of particles: --paths and --particles do not apply")
+    counts = {"spp": spp, "bundles": bundles, "points": points, "passes": passes, "paths": paths}
+    limits = opt.limits(time, error, **counts, particles=particles)
+    options: Any = {"save_every": save_every, "tone": tone, "exposure": exposure}
+    task, saved = saved_task(checkpoint, scene=scene, limits=limits, save=output or (), **options)
     device = opt.Device(variant, threads, cluster, workers)
-    saved = Checkpoint.read(checkpoint)
-    if saved.method in LINES:
-        if (spp, method, define) != (None, None, None):
-            raise OptionError(f"{checkpoint} is a checkpoint of radiosity: --spp, -m and -D do not apply")
-        limits = {"bundles": bundles, "points": points, "seconds": time, "error": error}
-        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, device)
-    if saved.method == HIERARCHY:
-        if (spp, points, method, define) != (None, None, None, None):
-            raise OptionError(f"{checkpoint} has passes of lines: --spp, --points, -m and -D do not apply")
-        asked = {"source": scene, "bundles": bundles, "seconds": time, "error": error, "save_every": save_every}
-        return resume_hierarchy(saved, checkpoint, output or [], device, **asked)
-    if (bundles, points) != (None, None):
-        raise OptionError(f"{checkpoint} is a checkpoint of a picture: --bundles and --points do not apply")
-    kind = methods.get(saved.method if method is None else method)
-    saved.settings_of(kind, opt.parse_pairs(define, "-D"))
-    rest = partial(remaining, saved, "--time, --spp or --error")
-    file = run_of(saved, checkpoint) if output is None else None
-    if file is not None:
-        console = error_console()
-        recorder = Recorder(file, lambda text: note(console, text))
-        choose_device(variant or file.variant, threads or file.threads)
+    if task.product.kind == "particles":
+        from .particles import trace_to_file
 
-        def open_job() -> Job:
-            job = Job.resume(saved, kind, budget=budget or rest(), scene=scene)
-            recorder.check(job)
-            return job
+        return trace_to_file(task, device, saved)
+    if task.product.kind != Picture.kind:
+        from .lines import run_on_patches
 
-        with recorder, device.opened() as opened:
-            return render_to_files(open_job, recorder, saved.method, opened, recorder.watch)
-    beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
-    outputs = Outputs.of(
-        output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
-    )
-    choose_device(variant, threads)
-    with device.opened() as opened:
-        return render_to_files(
-            lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method, opened
-        )
+        return run_on_patches(task, device, saved)
+    product, callback = task.product, None
+    assert isinstance(product, Picture)
+    with ExitStack() as stack:
+        if output is None and (file := run_of(saved, checkpoint)) is not None:
+            console = error_console()
+            product = recorder = stack.enter_context(Recorder(file, lambda text: note(console, text)))
+            callback = recorder.watch
+            variant, threads = variant or file.variant, threads or file.threads
+        elif output is None:
+            beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
+            product = replace(product, pictures=tuple([p for p in beside if p.exists()] or beside[:1]))
+        choose_device(variant, threads)
+        opened, task = stack.enter_context(device.opened()), replace(task, product=product)
+        return render_to_files(lambda: Job.resume(saved, task), product, saved.method, opened, callback)
 
 
 app.command()(film_picture)
 app.command()(run)
-app.command()(compare)
+app.command(cls=PictureCommand)(compare)
 app.command()(demo)
 app.command()(develop)
-app.command()(view)
+app.command(cls=PictureCommand)(view)
 
 
 @app.command()
@@ -269,8 +241,8 @@ def points(
     )
 
 
-app.command(cls=OptionalName)(form_factors)
-app.command(cls=OptionalName)(radiosity)
+app.command(cls=FactorCommand)(form_factors)
+app.command(cls=SolutionCommand)(radiosity)
 app.add_typer(particles, name="particles")
 
 
@@ -303,7 +275,7 @@ def check(
     from etendue.scene import locate
 
     from .inspection.check import show_check
-    from .rendering import choose_device
+    from .running import choose_device
 
     parameters = opt.parse_pairs(param, "-P")
     found = locate(scene, lambda text: note(error_console(), text))

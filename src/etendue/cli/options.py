@@ -16,7 +16,6 @@ from etendue.core import OptionError
 
 if TYPE_CHECKING:
     from etendue.distributed import Cluster as OpenedCluster
-    from etendue.engine import Budget
 
 _TIME = re.compile(r"^(?:(?P<h>[\d.]+)h)?(?:(?P<m>[\d.]+)m(?:in)?)?(?:(?P<s>-?[\d.]+(?:e[+-]?\d+)?)s?)?$")
 _MEMORY = re.compile(r"^(?P<number>[\d.]+)\s*(?P<unit>[kmgt]?)i?b?$", re.IGNORECASE)
@@ -40,7 +39,7 @@ class Device:
 
     def choose(self) -> None:
         """Set the variant and the number of threads of this process."""
-        from .rendering import choose_device
+        from .running import choose_device
 
         choose_device(self.variant, self.threads)
 
@@ -50,10 +49,10 @@ class Device:
 
         return opened_cluster(self.cluster, self.workers, self.threads)
 
-    def check_alone(self, option: str) -> None:
-        """Raise :class:`OptionError` if workers are asked for together with an option that makes no passes."""
-        if (self.cluster, self.workers) != (None, None):
-            raise OptionError(f"with {option} there are no passes for workers: leave out --cluster and --workers")
+    @property
+    def is_alone(self) -> bool:
+        """Whether no workers are asked for."""
+        return (self.cluster, self.workers) == (None, None)
 
 
 def parse_time(text: str | float, option: str = "--time") -> float:
@@ -92,14 +91,15 @@ def only_one(outputs: list[Path]) -> Path:
     return outputs[0]
 
 
-def budget(time: float | None, spp: int | None, error: float | None) -> Budget:
-    """The budget from --time, --spp and --error. Raises :class:`OptionError` for values that are not above 0."""
-    from etendue.engine import Budget
-
-    for option, value in (("--time", time), ("--spp", spp), ("--error", error)):
+def limits(time: float | None = None, error: float | None = None, **counts: float | None) -> dict[str, Any]:
+    """The limits that are given, by their names in :func:`etendue.products.budget_of`. Raises :class:`OptionError` for
+    values that are not above 0."""
+    named = {"--time": time, "--error": error} | {f"--{name}": value for name, value in counts.items()}
+    for option, value in named.items():
         if value is not None and not 0 < value < math.inf:
             raise OptionError(f"{option} must be above 0, not {value:g}")
-    return Budget(time, spp, None, error)
+    given = {"seconds": time, "error": error, **counts}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def parse_exposure(text: str | float) -> float | str:
@@ -139,35 +139,6 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
     return values
 
 
-def settings(
-    define: list[str] | None,
-    max_depth: int | None,
-    aovs: bool = False,
-    pyramid: bool = False,
-    pyramid_depth: int | None = None,
-    no_bsdf_sampling: bool = False,
-    components: bool = False,
-    for_denoising: bool = False,
-) -> dict[str, Any]:
-    """The settings from -D and from options for settings; a pyramid depth also enables the pyramid. Raises
-    :class:`OptionError` if a setting is given twice."""
-    pairs = parse_pairs(define, "-D")
-    said = {
-        "max_depth": max_depth,
-        "aovs": aovs or None,
-        "components": components or None,
-        "for_denoising": for_denoising or None,
-        "pyramid": pyramid or pyramid_depth is not None or None,
-        "pyramid_depth": pyramid_depth,
-        "bsdf_sampling": False if no_bsdf_sampling else None,
-    }
-    short = {name: value for name, value in said.items() if value is not None}
-    for name in short.keys() & pairs.keys():
-        option = name.replace("_", "-") if short[name] is not False else f"no-{name.replace('_', '-')}"
-        raise OptionError(f"--{option} and -D {name} are the same setting; give one of them")
-    return short | pairs
-
-
 def settings_by_method(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Settings for each of several methods: ``name`` applies to all methods that have it, ``method.name`` to one method
     and takes precedence.
@@ -205,7 +176,11 @@ Time = Annotated[
 Spp = Annotated[int | None, typer.Option("--spp", help="Stop at this many camera paths per pixel.", metavar="N")]
 Error = Annotated[
     float | None,
-    typer.Option("--error", help="Stop at this relative noise (mean of variance / (mean² + 0.01)).", metavar="X"),
+    typer.Option(
+        "--error",
+        help="Stop at this relative standard error: of pixels, of irradiance, of a row of factors.",
+        metavar="X",
+    ),
 ]
 PictureSize = Annotated[
     Size | None, typer.Option("--size", help="Size of the picture.", parser=parse_size, metavar="WxH")
@@ -229,10 +204,6 @@ Define = Annotated[
 Param = Annotated[
     list[str] | None,
     typer.Option("-P", "--param", help="Value of a $variable of the scene's XML, repeatable.", metavar="NAME=VALUE"),
-]
-MaxDepth = Annotated[
-    int | None,
-    typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
 LowPriority = Annotated[bool, typer.Option("--low-priority", help="Let other processes of the machine come first.")]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
@@ -288,30 +259,5 @@ Exposure = Annotated[
 Folder = Annotated[
     list[Path] | None,
     typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR"),
-]
-Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers: albedo, normal, depth, emission; variance.")]
-Components = Annotated[
-    bool, typer.Option("--components", help="Add layers of emission, direct, caustic and indirect light.")
-]
-ForDenoising = Annotated[
-    bool,
-    typer.Option(
-        "--for-denoising",
-        help="Render what `etendue develop --denoise` needs: --aovs, --components, independent pixels, several passes.",
-    ),
-]
-Pyramid = Annotated[
-    bool, typer.Option("--pyramid", help="Add a layer for each technique (s, t), weighted and unweighted.")
-]
-PyramidDepth = Annotated[
-    int | None,
-    typer.Option("--pyramid-depth", help="The same for paths of up to this many edges; default 5.", metavar="N"),
-]
-NoBsdfSampling = Annotated[
-    bool,
-    typer.Option(
-        "--no-bsdf-sampling",
-        help="Sample directions uniformly, not by materials (`path`, `guided`, `vegas`, `stratified`).",
-    ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Log what happens, and show tracebacks of errors.")]

@@ -73,9 +73,9 @@ def make(
 
     Histograms and kernels read the file in passes and take the memory of their cells; knn holds all particles.
     """
-    from etendue.jobs import FileSource, MapOptions, check_map_file, make_map, write_map
+    from etendue.products.particles import FileSource, MapOptions, check_map_file, make_map, write_map
 
-    from .rendering import choose_device
+    from .running import choose_device
 
     for path in output:
         check_map_file(path)

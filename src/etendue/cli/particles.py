@@ -11,13 +11,12 @@ from etendue.core import OptionError, format_seconds
 
 from . import options as opt
 from .console import error_console, note, say
-from .radiosity_outputs import Options
+from .settings import settings_in, with_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from etendue.jobs import ParticleResult, ParticleWork
+    from etendue.engine import Checkpoint, Task
     from etendue.particles import ParticleFile
+    from etendue.products.particles import ParticleResult
 
 app = typer.Typer(
     help="Trace particles, the hits of light paths on surfaces, into files; look at these files and pack them.",
@@ -40,7 +39,13 @@ CodecName = Annotated[
 NewFile = Annotated[list[Path], typer.Option("-o", "--output", help="New file of particles.", metavar="FILE")]
 
 
-@app.command()
+def _methods() -> dict[str, Any]:
+    from etendue.products import PARTICLES, find
+
+    return {name: find(name).Settings for name in PARTICLES}
+
+
+@app.command(cls=with_settings(_methods))
 def trace(
     scene: opt.Scene,
     output: NewFile,
@@ -51,19 +56,6 @@ def trace(
         int | None, typer.Option("--particles", help="About so many particles.", min=1, metavar="N")
     ] = None,
     time: opt.Time = None,
-    keep: Annotated[
-        str | None,
-        typer.Option(
-            "--keep", help="all, first (of each path on a diffuse or glossy surface) or absorbed.", metavar="NAME"
-        ),
-    ] = None,
-    after: Annotated[
-        int | None,
-        typer.Option("--after", help="Leave out hits with N edges from the light or fewer.", min=0, metavar="N"),
-    ] = None,
-    specular: Annotated[
-        bool, typer.Option("--specular", help="Also keep hits on surfaces without a diffuse or glossy part.")
-    ] = False,
     codec: CodecName = "packed",
     method: Annotated[
         str,
@@ -92,33 +84,22 @@ def trace(
     Stops at the first of --paths, --particles and --time that is reached, or by Ctrl-C; the file then has all whole
     passes, and `etendue resume FILE` goes on.
     """
-    from etendue.jobs import ParticleRequest, ParticleWork
-    from etendue.scene import locate
+    from etendue.engine import Task
+    from etendue.products import PARTICLES, budget_of, chosen
+    from etendue.products.particles import ParticleProduct
+    from etendue.scene import SceneSource, locate
 
-    file = opt.only_one(output)
-    settings: dict[str, Any] = dict(opt.parse_pairs(define, "-D"))
-    short = {"keep": keep, "after": after, "specular": specular or None}
-    for name, value in short.items():
-        if value is not None and name in settings:
-            raise OptionError(f"--{name} and -D {name} are the same setting; give one of them")
-        settings |= {} if value is None else {name: value}
-    request = ParticleRequest(
-        scene=locate(scene, lambda text: note(error_console(), text)),
-        output=file,
-        paths=paths,
-        particles=particles,
-        seconds=time,
-        codec=codec,
-        method=method,
-        boxes=_boxes(boxes, (cluster, workers) != (None, None)),
-        settings=settings,
-        seed=seed,
-        parameters=opt.parse_pairs(param, "-P"),
-        memory=memory,
-        wording=Options(),
+    file, kind = opt.only_one(output), chosen(method, PARTICLES, "particles")
+    cut = _boxes(boxes, (cluster, workers) != (None, None))
+    if paths is not None and particles is not None:
+        raise OptionError("--paths and --particles limit the same; give one of them")
+    product = ParticleProduct(file, particles, codec, cut)
+    found = locate(scene, lambda text: note(error_console(), text))
+    source = SceneSource(found, parameters=opt.parse_pairs(param, "-P"), memory=memory, merge=cut is None)
+    budget = budget_of(kind, opt.limits(time, paths=paths))
+    return trace_to_file(
+        Task(source, kind, product, settings_in(define), seed, budget), opt.Device(variant, threads, cluster, workers)
     )
-    device = opt.Device(variant, threads, cluster, workers)
-    return _run(lambda: ParticleWork.open(request), file, device)
 
 
 def _boxes(text: str | None, has_workers: bool) -> tuple[int, int, int] | None:
@@ -130,21 +111,6 @@ def _boxes(text: str | None, has_workers: bool) -> tuple[int, int, int] | None:
     if not has_workers:
         raise OptionError("a scene is divided among workers: give --workers or --cluster with --boxes")
     return numbers[0], numbers[1], numbers[2]
-
-
-def resume_particles(
-    path: Path,
-    scene: str | None,
-    paths: int | None,
-    particles: int | None,
-    time: float | None,
-    device: opt.Device,
-) -> int:
-    """Go on with a file of particles."""
-    from etendue.engine import Budget
-    from etendue.jobs import ParticleWork
-
-    return _run(lambda: ParticleWork.resume(path, Budget(time, paths), particles, scene, Options()), path, device)
 
 
 @app.command()
@@ -212,8 +178,8 @@ def compress(
     debug: opt.Debug = False,
 ) -> int:
     """Write the particles of a file by another codec."""
-    from etendue.jobs import repack
     from etendue.particles import ParticleFile
+    from etendue.products.particles import repack
 
     console, packed = error_console(), opt.only_one(output)
     with console.status("packing") as status:
@@ -229,24 +195,23 @@ def compress(
     return 0
 
 
-def _run(open_work: Callable[[], ParticleWork], output: Path, device: opt.Device) -> int:
-    """Trace, report and print the path of the file. Returns the exit status."""
-    from etendue.engine import RunError
-    from etendue.jobs import start_work
+def trace_to_file(task: Task, device: opt.Device, saved: Checkpoint | None = None) -> int:
+    """Trace, or go on with the file of the checkpoint ``saved``, report and print the path of the file. Returns the
+    exit status."""
+    from etendue.engine import Job, RunError
+    from etendue.products import start_job
 
-    from .rendering import follow
+    from .running import follow
 
-    console = error_console()
+    (output,), console = task.product.files, error_console()
     device.choose()
+
+    def open_job() -> Job:
+        return Job.open(task) if saved is None else Job.resume(saved, task)
+
     try:
         with device.opened() as cluster:
-
-            def with_workers() -> ParticleWork:
-                work = open_work()
-                work.cluster = cluster
-                return work
-
-            outcome = follow(lambda: start_work(with_workers), console, "particles")
+            outcome = follow(lambda: start_job(open_job, None, cluster), console, "particles")
     except RunError:
         say(str(output))  # it has the passes before the failure
         raise

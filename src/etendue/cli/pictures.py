@@ -6,7 +6,7 @@ Modules that import Mitsuba are imported inside the commands.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,6 +14,17 @@ from etendue.core import OptionError
 
 from . import options as opt
 from .console import error_console, note, say
+from .settings import settings_in, with_settings
+
+
+def _methods() -> dict[str, Any]:
+    from etendue import methods
+
+    return {name: kind.Settings for name, kind in methods.table().items()}
+
+
+#: Commands with the settings of the methods of pictures as options.
+PictureCommand = with_settings(_methods)
 
 
 def render(
@@ -23,7 +34,7 @@ def render(
         typer.Option(
             "--method",
             "-m",
-            help="See `etendue methods`; by default the scene's integrator if it is one of them but path, else vcm.",
+            help="See `etendue methods`; by default auto, or the scene's integrator if it is one of them but path.",
             metavar="NAME",
         ),
     ] = None,
@@ -37,16 +48,9 @@ def render(
     variant: opt.Variant = None,
     define: opt.Define = None,
     param: opt.Param = None,
-    max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     low_priority: opt.LowPriority = False,
     memory: opt.Memory = None,
-    aovs: opt.Aovs = False,
-    components: opt.Components = False,
-    for_denoising: opt.ForDenoising = False,
-    pyramid: opt.Pyramid = False,
-    pyramid_depth: opt.PyramidDepth = None,
-    no_bsdf_sampling: opt.NoBsdfSampling = False,
     save_every: opt.SaveEvery = 60.0,
     checkpoint: Annotated[
         Path | None,
@@ -65,28 +69,26 @@ def render(
     Stops at the first of --time, --spp and --error that is reached; without any, at the scene's own sample count.
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
-    from etendue.api import choose_method
-    from etendue.engine import Job, Task
-    from etendue.jobs import Outputs
-    from etendue.scene import locate
+    from etendue.engine import Job
+    from etendue.products import Picture, budget_of, choose_method, picture_task
+    from etendue.scene import SceneSource, locate
 
-    from .rendering import choose_device, default_name, render_to_files, shown_in_tev
+    from .running import choose_device, default_name, render_to_files, shown_in_tev
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    budget = opt.budget(time, spp, error)
-    settings = opt.settings(
-        define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components, for_denoising
-    )
-    parameters = opt.parse_pairs(param, "-P")
+    settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
+    limits = opt.limits(time, error, spp=spp)
     choose_device(variant, threads, low_priority)
     notes: list[str] = []  # shown after all checks
     found = locate(scene, notes.append)
     chosen = choose_method(method, found, parameters, notes.append)
-    task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
+    source = SceneSource(found, size, sensor, parameters, memory)
     pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
     beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
-    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every, False, tone, exposure)
+    kept = None if no_checkpoint else checkpoint or beside
+    product = Picture.of(pictures, kept, save_every, False, tone, exposure)
+    task = picture_task(source, chosen, product, settings, seed, budget_of(chosen, limits))
 
     def open_job() -> Job:
         job = Job.open(task)
@@ -96,7 +98,7 @@ def render(
 
     device = opt.Device(variant, threads, cluster, workers)
     with shown_in_tev(tev, pictures[0].stem) as callback, device.opened() as opened:
-        return render_to_files(open_job, outputs, chosen.name, opened, callback)
+        return render_to_files(open_job, product, chosen.name, opened, callback)
 
 
 def run(
@@ -115,18 +117,16 @@ def run(
 
     from .experiments.records import Recorder
     from .experiments.run_file import RunFile
-    from .rendering import choose_device, render_to_files
+    from .running import choose_device, render_to_files
 
-    wanted = RunFile.read(file)
+    wanted, console = RunFile.read(file), error_console()
     choose_device(wanted.variant, wanted.threads, wanted.low_priority)
     notes: list[str] = []  # shown after all checks
-    task = wanted.task(notes.append)
-    console = error_console()
     recorder = Recorder(wanted, lambda text: note(console, text))
+    task = wanted.task(recorder, notes.append)
 
     def open_job() -> Job:
         job = Job.open(task)
-        recorder.check(job)
         for text in notes:
             note(console, text)
         return job
@@ -156,15 +156,8 @@ def compare(
     variant: opt.Variant = None,
     define: opt.Define = None,
     param: opt.Param = None,
-    max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
-    aovs: opt.Aovs = False,
-    components: opt.Components = False,
-    for_denoising: opt.ForDenoising = False,
-    pyramid: opt.Pyramid = False,
-    pyramid_depth: opt.PyramidDepth = None,
-    no_bsdf_sampling: opt.NoBsdfSampling = False,
     seeds: Annotated[
         int, typer.Option("--seeds", help="Render so many times, for the error of the error.", min=1, metavar="N")
     ] = 1,
@@ -176,26 +169,16 @@ def compare(
 
     By default `path` and `vcm`, 60 seconds each, in the folder `comparison`.
     """
-    from etendue.engine import Budget
-    from etendue.scene import locate
+    from etendue.scene import SceneSource, locate
 
     from .experiments.compare import Comparison, tasks
-    from .rendering import choose_device
+    from .running import choose_device
 
     folder = opt.only_one(output or [Path("comparison")])
-    budget = opt.budget(time, spp, error) or Budget(seconds=60)
+    limits = opt.limits(time, error, spp=spp) or {"seconds": 60}
     notes: list[str] = []
-    wanted = tasks(
-        locate(scene, notes.append),
-        method or ["path", "vcm"],
-        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components, for_denoising),
-        seed=seed,
-        budget=budget,
-        size=size,
-        sensor=sensor,
-        parameters=opt.parse_pairs(param, "-P"),
-        memory=memory,
-    )
+    source = SceneSource(locate(scene, notes.append), size, sensor, opt.parse_pairs(param, "-P"), memory)
+    wanted = tasks(source, method or ["path", "vcm"], settings_in(define), seed=seed, limits=limits)
     choose_device(variant, threads)
     console = error_console()
     for text in notes:
@@ -217,9 +200,9 @@ def demo(
     By default in the folder `demo-output`.
     """
     from .experiments.compare import demonstration
-    from .rendering import choose_device
+    from .running import choose_device
 
     folder = opt.only_one(output or [Path("demo-output")])
-    comparison = demonstration(folder, opt.budget(time, None, None), size)
+    comparison = demonstration(folder, opt.limits(time), size)
     choose_device(variant, threads)
     return comparison.run(error_console())

@@ -134,6 +134,15 @@ class Method(ABC):
         ``passes`` is the number still to be made. The time of preparation is not subtracted from ``seconds``, so that
         decisions by ``seconds`` do not depend on the clock."""
 
+    def for_workers(self) -> tuple[str | None, dict[str, Any]]:
+        """How a worker makes the method, if its class takes more than the settings: the name ``module:name`` of a
+        function of (settings, problem, **arrays), and the arrays."""
+        return None, {}
+
+    def attributes_for_workers(self) -> dict[str, Any]:
+        """Attributes that are set on the prepared method in workers."""
+        return {}
+
     @classmethod
     def plugin_name(cls) -> str:
         """Name of the Mitsuba integrator, "" if there is none."""

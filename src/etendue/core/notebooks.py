@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 
 class InNotebooks:
-    """Base of objects that a notebook shows as a picture and key figures.
+    """Base of objects that a notebook shows as a picture and key figures."""
 
-    ``etendue.jobs.pages.notebook`` makes the HTML. It depends on all packages that make results, and is therefore
-    imported only when a notebook displays one.
-    """
+    #: Makes the HTML of an object, ``None`` if there is nothing to show. Set by the package, since it depends on all
+    #: rooms that make results.
+    make_html: ClassVar[Callable[[Any], str | None]] = staticmethod(lambda thing: None)
 
     def _repr_html_(self) -> str | None:
-        """HTML for a notebook; ``None`` if there is nothing to show: the notebook then shows the text."""
-        html: str | None = import_module("etendue.jobs.pages.notebook").html_of(self)
-        return html
+        """HTML for a notebook; ``None``: the notebook shows the text."""
+        make: Callable[[Any], str | None] = type(self).make_html
+        return make(self)

@@ -25,8 +25,13 @@ from .errors import OptionError, suggest
 
 #: Greatest whole number of a setting: kernels hold them in 32 bits.
 _MOST_INT = (1 << 31) - 1
-#: Limits of a run: name on the command line, and name as an argument of a function.
-BUDGETS: Mapping[str, str] = {"spp": "samples", "time": "seconds"}
+#: Names of arguments elsewhere or earlier, and what they are here.
+_ELSEWHERE: Mapping[str, str] = {
+    "samples": "spp",
+    "time": "seconds",
+    "resume": "etendue.resume(file)",
+    "define": "a keyword for each setting",
+}
 
 
 def setting(
@@ -75,18 +80,19 @@ class Settings:
 
     @classmethod
     def check_arguments(
-        cls, values: Iterable[str], owner: str, function: Callable[..., Any], elsewhere: Mapping[str, str] = BUDGETS
+        cls, values: Iterable[str], owner: str, function: Callable[..., Any], elsewhere: Mapping[str, str] | None = None
     ) -> None:
         """Raise :class:`OptionError` for a name among ``values`` that no setting has, where ``function`` takes settings
-        as further arguments: its own arguments may have been meant. ``elsewhere`` maps the names of arguments in
-        other functions, or on the command line, to their names here."""
+        as further arguments: its own arguments may have been meant. ``elsewhere`` maps further names of arguments in
+        other functions to their names here."""
+        known = {**_ELSEWHERE, **(elsewhere or {})}
         parameters = signature(function).parameters.values()
         own = [parameter.name for parameter in parameters if parameter.kind != parameter.VAR_KEYWORD]
         for name in values:
             if name in cls.names():
                 continue
-            if name in elsewhere:
-                raise OptionError(f"there is no argument '{name}'; did you mean '{elsewhere[name]}'?")
+            if (meant := known.get(name)) is not None:
+                raise OptionError(f"there is no argument '{name}'; did you mean '{known.get(meant, meant)}'?")
             hint = suggest(name, [*own, *cls.names()], "")
             if not hint.startswith("did"):
                 hint = f"it has: {', '.join(cls.names())}"
@@ -137,6 +143,8 @@ def _coerce(field: dataclasses.Field[Any], kind: type, value: Any) -> Any:
     try:
         if kind is bool:
             return _truth(value)
+        if value is False or value == "false":  # --no-shot: none of it
+            value = 0
         if isinstance(value, bool):
             raise ValueError
         if kind is int:

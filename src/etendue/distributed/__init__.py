@@ -6,13 +6,7 @@ from .dask import DaskPool as DaskPool
 from .divided import Divided as Divided, Traffic as Traffic
 from .pool import Arrival as Arrival, Lost as Lost, Pool as Pool
 from .processes import ProcessPool as ProcessPool
-from .recipe import (
-    Ingredients as Ingredients,
-    Recipe as Recipe,
-    part_ingredients as part_ingredients,
-    recipe as recipe,
-    scene_ingredients as scene_ingredients,
-)
+from .recipe import Recipe as Recipe, recipe as recipe
 from .rounds import Correspondence as Correspondence, Rounds as Rounds
 from .spread import Spread as Spread
 from .worker import Chunk as Chunk

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from etendue.core import Iterations, Method, SceneError, State
-from etendue.engine import Executor, Job, MakeExecutor, Order, Replicated
+from etendue.core import Iterations
+from etendue.engine import Job, MakeExecutor, Replicated
 
 from .dask import DaskPool
 from .pool import Pool
-from .recipe import Recipe, recipe, scene_ingredients
+from .recipe import recipe
 from .spread import Spread
 
 
@@ -23,39 +23,20 @@ class Cluster:
     def __init__(self, pool: Pool) -> None:
         self.pool = pool
 
-    def rendering(self, job: Job, longest: int | None = None) -> MakeExecutor:
-        """The executor of a job with a scene. If the passes depend on each other, the job gets the method and state of
-        :meth:`replicate`. ``longest``: largest number of passes that a worker adds up before it sends them. Raises
-        :class:`SceneError` for a scene in memory."""
-        if job.task is None:
-            raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
-        plain: Any = job.method.method if isinstance(job.method, Replicated) else job.method
-        made = recipe(scene_ingredients(job.task), plain, job.problem.fingerprint)
-        done = Iterations() if job.start is None else job.start.iterations
-        job.method, job.state = self.replicate(job.method, job.problem, job.seed, job.state, done)
-        return self.executor(made, longest=longest)
-
-    def replicate(
-        self, method: Method, problem: Any, seed: int, state: State | None, done: Iterations
-    ) -> tuple[Method, State | None]:
-        """The method and its state; if passes depend on each other, with a replica for each worker. A method that
-        continues from ``state`` after the passes ``done`` keeps its replicas, or becomes the only replica."""
-        if not method.carries_on or isinstance(method, Replicated):
-            return method, state
-        if state is not None:
-            state = {"replicas": [state], "passes": [done.next_iteration()]}
-        count = len(self.pool.workers()) if state is None else 1
-        return Replicated(method, problem, seed, count), state
-
-    def executor(
-        self, made: Recipe, attributes: Mapping[str, Any] | None = None, longest: int | None = None
-    ) -> MakeExecutor:
-        """The executor of a run; ``attributes`` are set on its method in the workers."""
-
-        def make(order: Order) -> Executor:
-            return Spread(self.pool, made, order, attributes, longest=longest)
-
-        return make
+    def executor(self, job: Job, longest: int | None = None) -> MakeExecutor:
+        """The executor of a job. If the passes depend on each other, the job gets a method with a replica for each
+        worker; a job that continues from a state keeps its replicas, or has one. ``longest``: largest number of passes
+        that a worker adds up before it sends them. Raises :class:`SceneError` for a source that cannot be sent."""
+        method = job.method.method if isinstance(job.method, Replicated) else job.method
+        make, arrays = method.for_workers()
+        made = recipe(job.ingredients(), method, job.problem.fingerprint, arrays, make)
+        if method.carries_on and job.method is method:
+            count = len(self.pool.workers()) if job.state is None else 1
+            if job.state is not None:
+                done = Iterations() if job.start is None else job.start.iterations
+                job.state = {"replicas": [job.state], "passes": [done.next_iteration()]}
+            job.method = Replicated(method, job.problem, job.seed, count)
+        return lambda order: Spread(self.pool, made, order, method.attributes_for_workers(), longest=longest)
 
     def close(self) -> None:
         """End workers that were started for this cluster."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,25 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import ClusterError, Method, prepared, use_variant
-from etendue.engine import Task, versions
-from etendue.scene import Camera, PortableScene, load, load_part, part_files, portable, restored, unmerged
+from etendue.core import ClusterError, Ingredients, Method, prepared, use_variant
+from etendue.engine import versions
 
 from .content import Entry, Offered, Store
 
 #: Prefix of the arrays that are arguments of the method.
 _ARGUMENT = "argument/"
-
-
-@dataclass
-class Ingredients:
-    """Plain values, arrays and files from which a worker makes a problem. ``open`` is the name ``module:name`` of a
-    function of (ingredients, folder) that returns the problem; the files are at their places in the folder."""
-
-    open: str
-    values: dict[str, Any]
-    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
-    files: dict[str, Path] = field(default_factory=dict)
 
 
 @dataclass
@@ -151,45 +139,3 @@ def _named(name: str) -> Any:
     for part in inner.split("."):
         found = getattr(found, part)
     return found
-
-
-# -- scenes ----------------------------------------------------------------------------------------------------------
-
-
-def scene_ingredients(task: Task) -> Ingredients:
-    """The ingredients of a rendering. Raises :class:`SceneError` for a scene in memory."""
-    scene = portable(task.scene, task.parameters)
-    values = {"scene": scene.description, "sensor": task.sensor, "size": task.size, "memory": task.memory}
-    if task.camera is not None:
-        values["camera"] = task.camera.to_dict()
-    if not task.merge:
-        values["merge"] = False
-    return Ingredients(f"{__name__}:open_scene", values, scene.arrays, scene.files)
-
-
-def part_ingredients(task: Task, shapes: Collection[str]) -> Ingredients:
-    """The ingredients of a part of a scene: the shapes with these ids, and the files that they need. Errors as
-    :func:`scene_ingredients`."""
-    scene = portable(task.scene, task.parameters)
-    files = part_files(scene, task.scene, shapes, task.parameters)
-    return Ingredients(
-        f"{__name__}:open_scene", {"scene": scene.description, "part": sorted(shapes)}, scene.arrays, files
-    )
-
-
-def open_scene(ingredients: Ingredients, folder: Path) -> Any:
-    """Load the scene of :func:`scene_ingredients` or :func:`part_ingredients`."""
-    values = ingredients.values
-    scene = PortableScene(values["scene"], ingredients.arrays)
-    source, parameters = restored(scene, folder)
-    if "part" in values:
-        return load_part(source, values["part"], parameters or None)
-    return load(
-        source,
-        size=None if values["size"] is None else tuple(values["size"]),
-        sensor=values["sensor"],
-        parameters=parameters or None,
-        memory=values["memory"],
-        camera=Camera(**values["camera"]) if "camera" in values else None,
-        change=None if values.get("merge", True) else unmerged,
-    )

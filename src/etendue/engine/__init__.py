@@ -5,7 +5,8 @@ from .budget import Budget as Budget
 from .checkpoint import Checkpoint as Checkpoint
 from .executor import Executor as Executor, InTurn as InTurn, MakeExecutor as MakeExecutor, Order as Order
 from .fitting import fit_samples as fit_samples, settle_samples as settle_samples
-from .job import Job as Job, Task as Task, remaining as remaining, task_settings as task_settings, versions as versions
+from .job import Job as Job, Source as Source, Task as Task, remaining as remaining, versions as versions
+from .product import Product as Product, silent as silent
 from .recordfiles import check_records as check_records
 from .replicas import Replicated as Replicated, replica_seed as replica_seed, replicated as replicated
 from .runner import Cancelled as Cancelled, RunError as RunError, Runner as Runner, RunResult as RunResult

@@ -120,8 +120,8 @@ class Runner:
         self._measurement = start
         self._state = method.start() if state is None else state  # after the last pass of the measurement
         self.on_progress = on_progress
-        #: Describes the progress of work that makes no picture in terms of that work.
-        self.told: Callable[[Progress], Progress] | None = None
+        #: Describes the progress in words of what the run makes.
+        self.described: Callable[[Progress], Progress] = lambda progress: progress
         self._on_save, self._save_if = on_save, save_if
         self._spent = spent
         self._make_executor = executor
@@ -239,7 +239,7 @@ class Runner:
         self._stopping.count(duration, rays, passes)
         self._stopping.look(measurement)
         progress = self._stopping.progress(measurement, self._elapsed())
-        self.progress = progress if self.told is None else self.told(progress)
+        self.progress = self.described(progress)
 
     def _add(self, made: Pass) -> Measurement:
         """Add the measurement and the state of a pass together."""

@@ -146,3 +146,9 @@ from .solvers.system import (
     solve as solve,
 )
 from .solvers.values import check_colours as check_colours, radiosity_on as radiosity_on
+from .sources import (
+    GROUPINGS as GROUPINGS,
+    PartSource as PartSource,
+    PatchSource as PatchSource,
+    part_ingredients as part_ingredients,
+)

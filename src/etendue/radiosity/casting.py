@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -99,7 +99,7 @@ class LineCasting(Method):
     fewer bundles than the others. :meth:`go_on` continues a measurement whose last pass is incomplete.
     """
 
-    name: ClassVar[str] = "global-lines"
+    name: ClassVar[str] = "lines"
     Settings: ClassVar[type[AnySettings]] = CastingSettings
     has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")
@@ -283,6 +283,10 @@ class LineCasting(Method):
     def bytes_per_bundle(self) -> float:
         """Expected size of the segments of a bundle."""
         return _SEGMENT_BYTES * float(self.engine.expected(1).sum()) / 2
+
+    def attributes_for_workers(self) -> dict[str, Any]:
+        """See ``core.Method``."""
+        return {"most": self.most, "owed": self.owed}
 
     def close(self) -> None:
         """End the casting, including lines that are cast ahead."""

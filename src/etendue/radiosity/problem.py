@@ -8,15 +8,17 @@ from functools import cached_property
 
 import numpy as np
 
+from etendue.scene import Problem
 from etendue.surfaces import Patches
 
 
 @dataclass(frozen=True)
 class PatchProblem:
-    """Patches as the problem of a job. ``source`` is the name of their source."""
+    """Patches as the problem of a job. ``source`` is the name of their source, ``scene`` the scene that they are of."""
 
     patches: Patches
     source: str = "<patches>"
+    scene: Problem | None = None
 
     @cached_property
     def fingerprint(self) -> str:

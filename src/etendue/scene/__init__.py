@@ -52,4 +52,5 @@ from .plugins import composed_bsdf as composed_bsdf, register as register
 from .portable import PortableScene as PortableScene, portable as portable, restored as restored
 from .problem import Problem as Problem
 from .resizing import resized as resized
+from .source import SceneSource as SceneSource, found as found, placed as placed
 from .space import RenderSpace as RenderSpace, warn_of_offsets as warn_of_offsets, warn_of_steps as warn_of_steps

@@ -1,6 +1,6 @@
 """Viewer: a scene live in the browser."""
 
-from .opening import Viewer as Viewer, view as view
+from .opening import Viewer as Viewer
 from .panels import Panel as Panel
 from .refining import is_picture as is_picture
 from .session import Session as Session

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import atexit
 import webbrowser
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from html import escape
-from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from etendue import methods
-from etendue.core import OptionError, logger, use_variant
+from etendue.core import OptionError
 from etendue.display import TevDisplay
-from etendue.engine import Budget
-from etendue.scene import described, is_described
 
 from .access.addresses import given_address, origins_of, reached
 from .cells import Cell, running_cell
-from .refining import is_picture
 from .server import Server
 from .session import Session
 from .states import Asked
@@ -127,65 +123,3 @@ class Viewer:
             '<p style="margin: 1em">This viewer has ended, or the browser cannot reach it. Run the cell again to open '
             "one; if Python runs on another machine, give <code>address=</code>.</p></object></div>"
         )
-
-
-def view(
-    scene: Any,
-    method: str = "path",
-    *,
-    seconds: float | None = None,
-    samples: int | None = None,
-    error: float | None = None,
-    size: tuple[int, int] | None = None,
-    sensor: int = 0,
-    seed: int = 0,
-    parameters: Mapping[str, Any] | None = None,
-    memory: int | None = None,
-    variant: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 0,
-    allow_origin: str | Sequence[str] = (),
-    address: str | None = None,
-    tev: str | None = None,
-    folder: str | Path = ".",
-    solution: str | Path | None = None,
-    **settings: Any,
-) -> Viewer:
-    """Show ``scene`` live in the browser, and in a notebook below the cell. The arguments are those of
-    :func:`etendue.render`.
-
-    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. It answers pages of this
-    machine's names; ``allow_origin`` are origins of a hub or proxy before it, such as ``https://hub.example.org``.
-    ``address`` is the address at which the reader's browser reaches a server on another machine: a URL, whose origin is
-    then allowed, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default the value of
-    the environment variable ``ETENDUE_VIEW_ADDRESS``, else the server's own address.
-
-    The session goes on in the background until ``close()``, or until the same cell of a notebook is run again. During
-    this time use no other Mitsuba or Dr.Jit code in this process, or pause the session in the page. Files that are
-    saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as ``localhost:14158``, which
-    then shows the picture and its layers, too. ``solution`` is a file of a solution of radiosity, which the 3-D view
-    then shows.
-
-    Raises :class:`OptionError` for an argument out of range, :class:`SceneError` if there is no such scene, and
-    :class:`BackendError` if tornado is not installed. If a scene cannot be loaded, the page says so, and another scene
-    can be opened there.
-    """
-    methods.get(method).Settings.check_arguments(settings, f"method '{method}'", view)
-    use_variant(variant)
-    if is_described(scene) and not is_picture(scene):
-        described(scene, logger.debug)
-    asked = Asked(
-        scene=scene,
-        method=method,
-        settings=settings,
-        budget=Budget(seconds, samples, None, error),
-        size=size,
-        sensor=sensor,
-        parameters=parameters,
-        memory=memory,
-        seed=seed,
-        folder=Path(folder).absolute(),
-        solution=None if solution is None else Path(solution).absolute(),
-    )
-    origins = (allow_origin,) if isinstance(allow_origin, str) else allow_origin
-    return Viewer(asked, host, port, tev, origins, address)

@@ -11,7 +11,8 @@ from typing import Any
 
 from etendue import film, methods
 from etendue.core import Measurement, Replica, Result, Settings, State, prepared
-from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
+from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, versions
+from etendue.products import scene_settings
 from etendue.scene import Problem
 from etendue.transport import Rays
 
@@ -182,4 +183,4 @@ def is_picture(source: Any) -> bool:
 
 def checked(problem: Problem, method: str, settings: Mapping[str, Any]) -> Any:
     """The settings of a method on a scene: the given ones, else those of the scene's integrator, else the defaults."""
-    return task_settings(Task(problem.scene, methods.get(method), settings), problem)
+    return scene_settings(methods.get(method), problem, settings)

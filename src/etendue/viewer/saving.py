@@ -15,7 +15,7 @@ from etendue.core import OptionError
 from etendue.display import tonemap, write_png
 from etendue.engine import check_save_times
 from etendue.film import write_bytes
-from etendue.jobs import check_picture, save_result
+from etendue.products import check_picture, save_result
 from etendue.scene import MOVABLE, BundledScene, graph, is_sensor, locate, scene_xml
 
 from .camera import vertical_fov

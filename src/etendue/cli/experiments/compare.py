@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from etendue import display, film, methods
-from etendue.api import start_job
 from etendue.core import BackendError, ClusterError, OptionError, OutputError, SceneError, UnsupportedError, describe
-from etendue.engine import Budget, Job, Task
-from etendue.jobs import Outputs, Rendering
-from etendue.scene import bundled
+from etendue.engine import Job, Task
+from etendue.products import Picture, Rendering, budget_of, picture_task, start_job
+from etendue.scene import SceneSource, bundled
 
 from ..console import command_line, note, say
 from ..options import settings_by_method
-from ..rendering import Outcome, check_reference, follow, make_folder, summary
+from ..running import Outcome, check_reference, follow, make_folder, summary
 from .history import History
 from .repeating import defaults_of, picture_command
 
@@ -34,11 +33,17 @@ _PAGE = "index.html"
 _OF_ALL = (OptionError, OutputError, BackendError, ClusterError, SceneError)
 
 
-def tasks(scene: Any, names: Sequence[str], settings: Mapping[str, Any], **common: Any) -> list[Task]:
-    """The same task for each method of ``names``; ``settings`` as for :func:`settings_by_method`."""
+def tasks(
+    source: SceneSource, names: Sequence[str], settings: Mapping[str, Any], *, limits: Mapping[str, Any], seed: int = 0
+) -> list[Task]:
+    """The same task for each method of ``names``; ``settings`` as for :func:`settings_by_method`, ``limits`` as for
+    :func:`budget_of`."""
     if len(set(names)) < len(names):
         raise OptionError(f"give each method once, not {', '.join(names)}")
-    return [Task(scene, methods.get(n), own, **common) for n, own in settings_by_method(names, settings).items()]
+    return [
+        picture_task(source, kind, Picture(), own, seed, budget_of(kind, limits))
+        for kind, own in ((methods.get(n), own) for n, own in settings_by_method(names, settings).items())
+    ]
 
 
 @dataclass
@@ -110,14 +115,14 @@ class Comparison:
         return exit_code
 
     def _follow(self, task: Task, label: str, history: History, console: Console) -> Outcome[Rendering]:
-        outputs = Outputs.of([self.output / f"{label}.exr"])
+        product = Picture.of([self.output / f"{label}.exr"])
 
         def open_job() -> Job:
-            job = Job.open(task)
+            job = Job.open(replace(task, product=product))
             check_reference(self._reference, job.problem.size, "--size {}x{}")
             return job
 
-        return follow(lambda: start_job(open_job, outputs, history.record, self.cluster), console, label)
+        return follow(lambda: start_job(open_job, history.record, self.cluster), console, label)
 
     def _entry(self, task: Task, made: Rendering, curves: Sequence[display.Series]) -> display.Entry:
         height, width = made.image.shape[:2]
@@ -132,6 +137,12 @@ class Comparison:
             picture_command(task, known["settings"], known["samples"], (width, height)),
         )
 
+    @property
+    def _scene(self) -> Any:
+        source = self.tasks[0].source
+        assert isinstance(source, SceneSource)
+        return source.scene
+
     def _write(self) -> None:
         """Write the pictures at one exposure, so that they can be compared, and the page."""
         entries = self._entries
@@ -144,7 +155,7 @@ class Comparison:
             page,
             entries,
             self._reference,
-            title=self.title or f"{Path(str(self.tasks[0].scene)).name}: {', '.join(names)}",
+            title=self.title or f"{Path(str(self._scene)).name}: {', '.join(names)}",
             subtitle=self.subtitle,
             reference_note=self.reference_note or (str(self.reference) if self.reference else ""),
             exposure=exposure,
@@ -155,11 +166,11 @@ class Comparison:
         say(str(page))
 
 
-def demonstration(output: Path, budget: Budget, size: tuple[int, int] | None) -> Comparison:
+def demonstration(output: Path, limits: Mapping[str, Any], size: tuple[int, int] | None) -> Comparison:
     """The bundled demonstration scene by ``path`` and ``vcm``. Its reference has the scene's default size."""
     scene = next(iter(bundled().values()))
     return Comparison(
-        tasks(scene, ["path", "vcm"], {"reweight": True}, budget=budget, size=size),
+        tasks(SceneSource(scene, size), ["path", "vcm"], {"reweight": True}, limits=limits),
         output,
         reference=scene.reference if size is None else None,
         reference_note=scene.reference_note,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
-from etendue.jobs import Update
+from etendue.products import Update
 
 Image = NDArray[np.float32]
 

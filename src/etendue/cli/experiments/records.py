@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from etendue import display, film, methods
 from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
-from etendue.jobs import Outputs, Rendering, Update, Writing
+from etendue.products import Picture, Rendering, Update, Writing
+from etendue.scene import Problem
 
-from ..rendering import check_reference, make_folder
+from ..running import check_reference, make_folder
 from .history import History
 from .repeating import defaults_of, picture_command
 from .run_file import RunFile
@@ -62,8 +63,8 @@ def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
     return run
 
 
-class Recorder:
-    """Writes the files of a run; a ``jobs.Writer``. As a context it creates the folder and logs warnings.
+class Recorder(Picture):
+    """The picture of a run file, with its records. As a context it creates the folder and logs warnings.
 
     A save at a given time has its own files, other saves replace ``name.exr``. ``tell`` receives the log line of every
     save except periodic ones. The seconds of a run include the time of saves. If a run is resumed, log and table
@@ -71,6 +72,7 @@ class Recorder:
     """
 
     def __init__(self, run: RunFile, tell: Callable[[str], object]) -> None:
+        super().__init__()
         self._run = run
         self._tell = tell
         self._reference: NDArray[np.float32] | None = film.read_image(run.reference) if run.reference else None
@@ -83,13 +85,13 @@ class Recorder:
         self._written: dict[Path, None] = {}  # in the order of first writing
 
     @property
-    def files(self) -> Sequence[Path]:
+    def files(self) -> tuple[Path, ...]:
         """Files that were written."""
-        return list(self._written)
+        return tuple(self._written)
 
-    def check(self, job: Job) -> None:
+    def check(self, problem: Problem) -> None:
         """Raise :class:`OptionError` if the picture cannot be compared with the reference."""
-        check_reference(self._reference, job.problem.size, "size = [{}, {}] in [scene]")
+        check_reference(self._reference, problem.size, "size = [{}, {}] in [scene]")
 
     def __enter__(self) -> Self:
         make_folder(self._run.folder)
@@ -115,7 +117,7 @@ class Recorder:
             self._history.record(update)
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """See ``jobs.Writer``. Starts or continues log and table."""
+        """See ``Product``. Starts or continues log and table."""
         self._earlier = job.earlier
         self._save_at = {time - job.earlier: time for time in self._run.save_at if time > job.earlier}
         self._begin(job)
@@ -144,7 +146,6 @@ class Recorder:
         run, known = self._run, made.metadata
         height, width = made.image.shape[:2]
         name = known["method"]
-        task = job.task
         entry = display.Entry(
             name,
             made.image,
@@ -152,7 +153,7 @@ class Recorder:
             self._history.errors(made.image, self._earlier_errors(), self._earlier),
             {k: v for k, v in made.layers.items() if k != "image"},
             defaults_of(methods.get(name)),
-            "" if task is None else picture_command(task, known["settings"], known["samples"], (width, height)),
+            picture_command(job.task, known["settings"], known["samples"], (width, height)),
         )
         display.write_report(
             run.page_path,
@@ -185,15 +186,15 @@ class Recorder:
         if not run.save_times:
             self._keep(job, run, self._outputs(self._run.name), None, "save")
 
-    def _outputs(self, name: str) -> Outputs:
+    def _outputs(self, name: str) -> Picture:
         """Pictures with that name, and the checkpoint."""
         run = self._run
         suffixes = ("exr", "png") if run.png else ("exr",)
         checkpoint = run.checkpoint_path if run.checkpoint else None
         pictures = [run.folder / f"{name}.{suffix}" for suffix in suffixes]
-        return Outputs.of(pictures, checkpoint, separate=run.layers == "separate")
+        return Picture.of(pictures, checkpoint, separate=run.layers == "separate")
 
-    def _keep(self, job: Job, run: RunResult, outputs: Outputs, time: float | None, what: str) -> Rendering:
+    def _keep(self, job: Job, run: RunResult, outputs: Picture, time: float | None, what: str) -> Rendering:
         """Write ``outputs``, a log line and a row of the table."""
         rendering = outputs.write(job, run)
         for path in outputs.files:

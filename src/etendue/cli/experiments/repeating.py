@@ -7,22 +7,25 @@ from collections.abc import Mapping
 from typing import Any
 
 from etendue.engine import Task
+from etendue.scene import SceneSource
 
 
 def picture_command(task: Task, settings: Mapping[str, Any], samples: int, size: tuple[int, int]) -> str:
     """A command that renders the picture of ``task`` again, with as many passes: of ``samples`` per pixel by the
     ``settings`` that it had in the end. Empty if the scene is in memory, or its camera has no options."""
-    place = task.place()
+    known = task.source
+    assert isinstance(known, SceneSource)
+    place = known.place()
     source = place.get("source") or place.get("bundled")
-    if source is None or task.camera is not None:
+    if source is None or known.camera is not None:
         return ""
     words = ["etendue", "render", source, "-m", task.method.name, "--spp", str(samples), "--seed", str(task.seed)]
     words += ["--size", f"{size[0]}x{size[1]}"]
-    if task.sensor:
-        words += ["--sensor", str(task.sensor)]
-    if task.memory is not None:
-        words += ["--memory", str(task.memory)]
-    for name, value in (task.parameters or {}).items():
+    if known.sensor:
+        words += ["--sensor", str(known.sensor)]
+    if known.memory is not None:
+        words += ["--memory", str(known.memory)]
+    for name, value in (known.parameters or {}).items():
         words += ["-P", f"{name}={value}"]
     defaults = defaults_of(task.method)
     for name, value in settings.items():

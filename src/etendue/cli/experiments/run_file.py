@@ -16,7 +16,8 @@ from typing import Any, Literal
 from etendue.core import OptionError, OutputError, SceneError, is_number, is_whole, suggest
 from etendue.engine import Budget, Job, Task, check_period, check_save_times
 from etendue.film import check_writable
-from etendue.scene import BundledScene, Camera, bundled_scene
+from etendue.products import Picture, choose_method, picture_task
+from etendue.scene import BundledScene, Camera, SceneSource, bundled_scene
 
 from ..options import parse_memory
 
@@ -161,30 +162,19 @@ class RunFile:
         """Path of the page, if the run writes one."""
         return self.folder / f"{self.name}.html"
 
-    def task(self, tell: Callable[[str], object]) -> Task:
-        """The task of the engine. A Mitsuba variant must be set. ``tell`` as for ``api.choose_method``."""
-        from etendue.api import choose_method
-
+    def task(self, product: Picture, tell: Callable[[str], object]) -> Task:
+        """The task of the engine. A Mitsuba variant must be set. ``tell`` as for :func:`choose_method`."""
         with _within(self.path, "method"):
             chosen = choose_method(self.method, self.scene, self.parameters, tell)
-            return Task(
-                self.scene,
-                chosen,
-                self.settings,
-                self.seed,
-                self.budget,
-                self.size,
-                self.sensor,
-                self.parameters,
-                self.memory,
-                self.camera,
-            )
+            source = SceneSource(self.scene, self.size, self.sensor, self.parameters, self.memory, self.camera)
+            return picture_task(source, chosen, product, self.settings, self.seed, self.budget)
 
     def describe(self, job: Job) -> str:
         """``vcm on cornell-box, 64x64, seconds 300, saves at 20 60 300 s, into results``."""
         width, height = job.problem.size
         parts = [f"{job.method.name} on {self.scene}", f"{width}x{height}"]
-        parts += [f"{name} {limit:g}" for name, limit in job.budget.to_dict().items()]
+        limits = {"spp" if name == "samples" else name: value for name, value in job.budget.to_dict().items()}
+        parts += [f"{name} {limit**0.5 if name == 'error' else limit:g}" for name, limit in limits.items()]
         if self.save_at:
             parts.append(f"saves at {' '.join(f'{t:g}' for t in self.save_at)} s")
         return ", ".join([*parts, f"into {self.folder}"])
@@ -261,7 +251,10 @@ def _budget(table: Mapping[str, Any], save_at: tuple[float, ...], exit_after_las
     seconds, last = table.get("seconds"), save_at[-1] if save_at else 0.0
     if exit_after_last:
         seconds = last if seconds is None else seconds
-    budget = Budget(seconds, table.get("samples"), None, table.get("error"))
+    error = table.get("error")
+    if error is not None and is_number(error) and error > 0:
+        error = error**2  # the engine works with variances
+    budget = Budget(seconds, table.get("spp", table.get("samples")), None, error)
     if save_at and not budget:
         raise OptionError("autosaves need a budget, or exit_after_last = true in [autosave]")
     if budget.seconds is not None and budget.seconds < last:

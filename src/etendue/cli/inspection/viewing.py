@@ -13,6 +13,7 @@ from etendue.core import OptionError, SceneError
 
 from .. import options as opt
 from ..console import error_console, note, say
+from ..settings import settings_in
 
 if TYPE_CHECKING:
     from etendue.viewer import Asked
@@ -27,7 +28,7 @@ def view(
         typer.Option(
             "--method",
             "-m",
-            help="See `etendue methods`; by default the scene's integrator if it is one of them, else path.",
+            help="See `etendue methods`; by default auto, or the scene's integrator if it is one of them but path.",
             metavar="NAME",
         ),
     ] = None,
@@ -39,7 +40,6 @@ def view(
     error: opt.Error = None,
     seed: opt.Seed = 0,
     param: opt.Param = None,
-    max_depth: opt.MaxDepth = None,
     memory: opt.Memory = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
@@ -78,29 +78,29 @@ def view(
     The address has a token, without which nothing is answered. Ctrl-C ends the session.
     """
     from etendue import methods
-    from etendue.scene import integrator_of, locate
+    from etendue.products import DEFAULT, budget_of, choose_method
+    from etendue.scene import locate
     from etendue.viewer import Asked, is_picture
 
-    from ..rendering import choose_device
+    from ..running import choose_device
 
-    settings = opt.settings(define, max_depth)
-    budget = opt.budget(time, spp, error)
+    settings = settings_in(define)
     parameters = opt.parse_pairs(param, "-P")
     console = error_console()
     if is_picture(scene) and not Path(scene).is_file():
         raise SceneError(f"there is no picture '{scene}'; check the path")
     found = scene if is_picture(scene) else locate(scene, lambda text: note(console, text))
     choose_device(variant, threads)
+    kind = methods.get(method or DEFAULT)
     if method is None and not is_picture(scene):
         with suppress(SceneError):  # reported by the page
-            named = methods.by_plugin(integrator_of(found, parameters))
-            method = named.name if named is not None else "path"
+            kind = choose_method(None, found, parameters)
     if not host.strip():
         raise OptionError("--host is an address of this machine, such as 127.0.0.1 or 0.0.0.0")
     if radiosity is not None and not radiosity.is_file():
         raise SceneError(f"there is no solution '{radiosity}'; make one by `etendue radiosity SCENE -o {radiosity}`")
-    name = methods.get(method or "path").name
-    asked = Asked(found, name, settings, budget, size, sensor, parameters, memory, seed, solution=radiosity)
+    budget = budget_of(kind, opt.limits(time, error, spp=spp))
+    asked = Asked(found, kind.name, settings, budget, size, sensor, parameters, memory, seed, solution=radiosity)
     return show(asked, host.strip(), port, not no_browser, tev, allow_origin or (), address)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import CheckpointError, Measurement, Settings as AnySettings, seed_key, setting
 from etendue.points import PointSet
@@ -41,7 +42,7 @@ class HierarchicalCastingSettings(CastingSettings):
     shot: bool = setting(False, "no shot: it is for light")
     local_rays: bool = setting(False, "no local rays: lines in small spheres take their place")
     engine: str = setting("rays", "line by line, or rasterised bundles", choices=("rays", "bundles"))
-    points: str = setting(
+    point_set: str = setting(
         "auto",
         "what draws the lines; auto takes sobol for rays, spiral for bundles",
         choices=("auto", *LINE_POINTS, "spiral"),
@@ -49,7 +50,7 @@ class HierarchicalCastingSettings(CastingSettings):
     main_share: float = setting(
         MAIN_SHARE, "share of the lines in the sphere around the scene; 0 chooses all shares by least error", minimum=0
     )
-    objects: str = setting("", "which objects there are: a checksum, found by itself")
+    objects_digest: str = setting("", "which objects there are: a checksum, found by itself")
 
 
 class HierarchicalCasting(LineCasting):
@@ -59,7 +60,7 @@ class HierarchicalCasting(LineCasting):
     objects: the objects of the patches of :meth:`prepare`. goal: ``rows`` or ``None``.
     """
 
-    name: ClassVar[str] = "hierarchical-lines"
+    name: ClassVar[str] = "spheres"
     Settings: ClassVar[type[AnySettings]] = HierarchicalCastingSettings
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Sbert1993")
 
@@ -74,14 +75,14 @@ class HierarchicalCasting(LineCasting):
         settings = settings or HierarchicalCastingSettings()
         if settings.main_share > 1:
             raise RadiosityError(f"the main sphere has at most all of the lines, not {settings.main_share:g}")
-        if settings.engine == "rays" and settings.points == "spiral":
+        if settings.engine == "rays" and settings.point_set == "spiral":
             raise RadiosityError(f"a spiral is for bundles; rays take {', '.join(LINE_POINTS)}")
         if settings.shot or settings.local_rays or settings.replicates > 1:
             raise RadiosityError("form factors by a hierarchy have neither shot nor local rays nor replicates")
         mark = hashlib.blake2b(objects.of_patch.tobytes(), digest_size=8).hexdigest()
-        if settings.objects not in ("", mark):
+        if settings.objects_digest not in ("", mark):
             raise CheckpointError("the checkpoint was made with other objects; find them as they were, or cast anew")
-        super().__init__(settings.replace(objects=mark), goal=goal, most=most)
+        super().__init__(settings.replace(objects_digest=mark), goal=goal, most=most)
         self.objects = objects
 
     def prepare(self, problem: PatchProblem, seed: int) -> None:
@@ -97,6 +98,11 @@ class HierarchicalCasting(LineCasting):
         segments = self._lines(measurement)
         warn_of_faults(segments)
         return segments
+
+    def for_workers(self) -> tuple[str | None, dict[str, Any]]:
+        """See ``core.Method``: with the objects."""
+        arrays = {name: getattr(self.objects, name) for name in ("of_patch", "areas", "lower", "upper")}
+        return f"{__name__}:casting_around", arrays | {"names": np.array(self.objects.names, dtype=str)}
 
     def _pilot(self, first: int, count: int) -> Iterator[Pairs]:
         return (chunk & ~OUTSIDE for chunk in super()._pilot(first, count))
@@ -116,7 +122,7 @@ class HierarchicalCasting(LineCasting):
 
     def _points(self, node: int) -> PointSet:
         """The point set of a sphere."""
-        name = self._hierarchy.points
+        name = self._hierarchy.point_set
         if name == "auto":
             name = "sobol" if self._hierarchy.engine == "rays" else "spiral"
         if name == "spiral":
@@ -131,3 +137,10 @@ class HierarchicalCasting(LineCasting):
         return PartialSegments(
             self.tree, list(measurement.records[_SEGMENTS]), engine.densities(self.bundles(measurement))
         )
+
+
+def casting_around(
+    settings: HierarchicalCastingSettings, problem: PatchProblem, names: NDArray[Any], **objects: Any
+) -> HierarchicalCasting:
+    """The method in a worker."""
+    return HierarchicalCasting(Objects(problem.patches, names=tuple(map(str, names)), **objects), settings)

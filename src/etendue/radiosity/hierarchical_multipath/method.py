@@ -25,6 +25,8 @@ from etendue.core import (
     setting,
 )
 from etendue.points import PointSet
+from etendue.scene import Problem
+from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from ..lines.engine import warn_of_backs
@@ -67,7 +69,7 @@ class HierarchicalMultipathSettings(AnySettings):
     rings: int = setting(2, "rings of directions at each of them", minimum=1)
     iterations: int = setting(8, "times that stored lines are used, at most", minimum=1)
     residual: float = setting(1e-4, "share of the light that may be on its way at the end", minimum=0)
-    points: str = setting("sobol", "what draws lines and rays", choices=tuple(LINE_POINTS))
+    point_set: str = setting("sobol", "what draws lines and rays", choices=tuple(LINE_POINTS))
     generator: str = setting(
         "box-walls",
         "how a line through the whole scene is made of a point; in boxes by box-walls",
@@ -81,15 +83,23 @@ class HierarchicalMultipathSettings(AnySettings):
 
     def points_for(self, purpose: str, seed: int) -> PointSet:
         """Points of four dimensions for a purpose and a seed."""
-        return line_points(self.points, seed, purpose)
+        return line_points(self.point_set, seed, purpose)
 
 
 @dataclass(frozen=True)
 class PartProblem:
-    """A scene of parts as the problem of a job. ``source`` is the name of its source."""
+    """A scene of parts as the problem of a job. ``source`` is the name of its source, ``patches`` are all of it in one
+    mesh, if parts were made of that, and ``scene`` is the scene that the parts are of."""
 
     root: Part
     source: str = "<parts>"
+    patches: Patches | None = None
+    scene: Problem | None = None
+
+    @property
+    def parts(self) -> list[Part]:
+        """The distinct parts, inner ones first."""
+        return self.root.distinct
 
     @cached_property
     def fingerprint(self) -> str:
@@ -119,7 +129,7 @@ class HierarchicalMultipath(Method):
     settings: see :class:`HierarchicalMultipathSettings`. points: makes points in place of those of the settings.
     """
 
-    name: ClassVar[str] = "hierarchical-multipath"
+    name: ClassVar[str] = "boxes"
     Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
     has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")

@@ -42,13 +42,13 @@ class MultipathSettings(AnySettings):
     """Settings that determine the lines."""
 
     points_per_pass: int = setting(_POINTS, "points of lines of a pass", minimum=1)
-    shot_rays: float = setting(0.0, "rays that send the light of small emitters first, 0 for none", minimum=0)
-    points: str = setting("sobol", "what draws the lines", choices=tuple(LINE_POINTS))
+    shot: float = setting(0.0, "rays that send the light of small emitters first, 0 for none", minimum=0)
+    point_set: str = setting("sobol", "what draws the lines", choices=tuple(LINE_POINTS))
     generator: str = setting("sphere-pairs", "how a line is made of a point", choices=SINGLE_LINES)
 
     def lines(self, patches: Patches, seed: int) -> ChainedRays:
         """The lines through patches."""
-        points = line_points(self.points, seed, "lines")
+        points = line_points(self.point_set, seed, "lines")
         return ChainedRays(GENERATORS[self.generator](patches), RayScene(patches), points)
 
 
@@ -172,10 +172,10 @@ class MultipathPasses(Method):
         return float(((areas * error).sum() / light) ** 2) if light > 0 else None
 
     def _shoot(self, seed: int) -> FirstShot | None:
-        if not self._options.shot_rays:
+        if not self._options.shot:
             return None
         emitters = small_emitters(self.patches, 1.0)
         if not emitters.any():
             return None
-        points = line_points(self._options.points, seed, "first shot")
-        return shot_at_patches(RayScene(self.patches), self._options.shot_rays, points, emitters)
+        points = line_points(self._options.point_set, seed, "first shot")
+        return shot_at_patches(RayScene(self.patches), self._options.shot, points, emitters)

@@ -57,6 +57,12 @@ class FirstShot:
     rays: int
 
     @property
+    def relative_error(self) -> float:
+        """Standard error of the irradiance, mean over the surface, relative to the mean irradiance."""
+        areas = self.patches.areas[:, None]
+        return float((areas * self.error).sum() / max((areas * self.irradiance).sum(), 1e-300))
+
+    @property
     def reflected(self) -> Array:
         """(n, c) reflected power of this light."""
         return self.patches.areas[:, None] * self.patches.reflectance * self.irradiance

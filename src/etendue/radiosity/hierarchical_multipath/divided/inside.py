@@ -40,7 +40,7 @@ class Inside:
     numbers, lines: index of each part in the whole scene, and its lines of a pass; inner parts first.
     """
 
-    name: ClassVar[str] = "hierarchical-multipath"
+    name: ClassVar[str] = "boxes"
     carries_on: ClassVar[bool] = False
     Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
 

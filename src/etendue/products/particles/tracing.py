@@ -1,15 +1,15 @@
-"""Particles as work: light paths are traced, and each pass is written to a file, or kept in memory."""
+"""Particles of light paths: each pass is written to a file, or kept in memory."""
 
 from __future__ import annotations
 
 import shutil
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from etendue.core import (
     Measurement,
     OptionError,
     Pass,
+    Progress,
     Record,
+    Settings,
     State,
     describe,
+    format_count,
     logger,
-    prepared,
-    suggest,
 )
 from etendue.engine import (
     Budget,
@@ -34,11 +35,11 @@ from etendue.engine import (
     Job,
     MakeExecutor,
     Order,
-    Runner,
+    Product,
     RunResult,
-    fit_samples,
-    remaining,
-    settle_samples,
+    Task,
+    silent,
+    versions,
 )
 from etendue.film import replacing
 from etendue.methods import (
@@ -50,9 +51,7 @@ from etendue.methods import (
     make_box_tracing,
 )
 from etendue.particles import BoxGrid, Codec, ParticleFile, Particles, ParticleWriter
-from etendue.scene import load, shape_boxes, unmerged
-
-from .wording import PYTHON, Wording
+from etendue.scene import SceneSource, shape_boxes
 
 if TYPE_CHECKING:
     from etendue.distributed import Cluster, Traffic
@@ -63,40 +62,6 @@ _ROWS = "particles"  #: name of the record of particles
 _PASS = "after_pass"  #: name of the number of the last pass in the file of a state
 #: Ways to trace particles, by name.
 TRACINGS: dict[str, Any] = {kind.name: kind for kind in (ParticleTracing, MetropolisParticles)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ParticleRequest:
-    """Particles of a scene. The first limit that is reached ends the tracing; passes are whole, so there may be a few
-    more particles. Without ``output`` they stay in memory."""
-
-    scene: Any
-    output: Path | None = None
-    paths: int | None = None
-    particles: int | None = None  #: approximate, in place of ``paths``: a pilot estimates the number of paths
-    seconds: float | None = None
-    codec: str = "packed"
-    method: str = ParticleTracing.name  #: one of :data:`TRACINGS`
-    #: With workers: numbers of boxes along x, y and z into which the scene is cut; each worker holds a share of them.
-    boxes: tuple[int, int, int] | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    seed: int = 0
-    parameters: Mapping[str, Any] | None = None
-    memory: int | None = None
-    wording: Wording = PYTHON
-
-    def __post_init__(self) -> None:
-        self.wording.check_either("paths", self.paths, "particles", self.particles)
-        Budget(self.seconds)
-        Codec.parse(self.codec)
-        if self.method not in TRACINGS:
-            raise OptionError(f"no way '{self.method}' to trace particles; {suggest(self.method, TRACINGS)}")
-        TRACINGS[self.method].Settings.from_mapping(self.settings, owner=f"tracing by {self.method}")
-        if self.boxes is not None:
-            BoxGrid.check_counts(self.boxes)
-        if self.output is not None and self.output.exists():
-            resume = self.wording.resume(self.output)
-            raise OptionError(f"'{self.output}' exists: choose another name, remove it, or go on with it by {resume}")
 
 
 @dataclass
@@ -111,142 +76,149 @@ class ParticleResult(InNotebooks):
     elapsed: float
     traffic: Traffic | None = None  #: for a scene in boxes: the tasks of the workers
 
+    def __repr__(self) -> str:
+        count, where = int(self.counters["particles"]), "" if self.file is None else f" in {self.file}"
+        return f"<etendue.ParticleResult {count} particles{where}, {self.elapsed:.1f} s>"
 
-class ParticleWork:
-    """A request whose scene has been loaded, or a file that is continued; see :class:`Work`.
 
-    Raises the errors of loading a scene, and :class:`OutputError` if the file cannot be made.
+@dataclass
+class ParticleProduct(Product[ParticleResult]):
+    """Particles in memory, or in a new file to which each pass is written.
+
+    particles: about so many, in place of a budget in paths; a pilot estimates the number of paths. boxes: with workers,
+    numbers of boxes along x, y and z into which the scene is cut; each worker holds a share of them.
     """
 
-    counted = "path"
+    kind: ClassVar[str] = "particles"
 
-    def __init__(self, job: Job, writer: ParticleWriter | None) -> None:
-        self._job, self._writer = job, writer
-        self.cluster: Cluster | None = None  #: traces the paths; without it this process does
-        self.boxes: tuple[int, int, int] | None = None  #: of a divided scene
+    output: Path | None = None
+    particles: int | None = None
+    codec: str = "packed"
+    boxes: tuple[int, int, int] | None = None
+    known: ParticleFile | None = None  #: the file of a run that is resumed
+
+    def __post_init__(self) -> None:
+        Budget(samples=self.particles)
+        Codec.parse(self.codec)
+        if self.boxes is not None:
+            BoxGrid.check_counts(self.boxes)
+        if self.known is None and self.output is not None and self.output.exists():
+            raise OptionError(
+                f"'{self.output}' exists: choose another name, remove it, or go on with it by `etendue resume`"
+            )
+        self._writer: ParticleWriter | None = None
         self._traffic: Traffic | None = None
 
     @classmethod
-    def open(cls, request: ParticleRequest) -> ParticleWork:
-        """Load the scene, prepare the tracing and make the file."""
-        from etendue.engine import Task, versions
+    def resumed(cls, path: Path, particles: int | None = None) -> tuple[Self, Checkpoint]:
+        """The product of a file that is continued, and the checkpoint of its run. Raises :class:`ParticleError` for a
+        file that cannot be read, :class:`CheckpointError` if its run cannot go on."""
+        known = ParticleFile(path)
+        boxes = known.header.get("boxes")
+        made = cls(path, particles, boxes=None if boxes is None else (boxes[0], boxes[1], boxes[2]), known=known)
+        return made, _checkpoint(known)
 
-        merge = request.boxes is None
-        change = None if merge else unmerged
-        problem = load(request.scene, parameters=request.parameters, memory=request.memory, change=change)
-        begin = time.perf_counter()
-        kind = TRACINGS[request.method]
-        settings = kind.Settings.from_mapping(request.settings)
-        if (steps := request.paths or request.particles) and kind is MetropolisParticles:
-            settings = settings.for_budget(steps, request.settings)
-        tracing: Any = prepared(kind(settings), problem, request.seed)
-        paths = request.paths
-        if request.particles is not None:
-            paths = tracing.paths_for(request.particles)
-        elif paths is None and request.seconds is None:
-            paths = DEFAULT_PATHS
-        budget = Budget(request.seconds, paths)
-        if budget.samples is not None:
-            tracing = fit_samples(tracing, budget.samples, problem, request.seed)
-        settle_samples(tracing)
-        given: dict[str, Any] = {"parameters": request.parameters, "memory": request.memory, "merge": merge}
-        task = Task(request.scene, kind, seed=request.seed, **given)
-        spent = time.perf_counter() - begin
-        job = Job(problem, tracing, seed=task.seed, budget=budget, place=task.place(), preparation=spent, task=task)
-        if request.output is None:
-            return cls(job, None)._cut(request.boxes)
+    @property
+    def files(self) -> Sequence[Path]:
+        """See :class:`Product`."""
+        return () if self.output is None else (self.output,)
+
+    def default_budget(self, task: Task, problem: Any) -> Budget:
+        """A million paths, unless there is a number of particles."""
+        return Budget(samples=DEFAULT_PATHS) if self.particles is None else Budget()
+
+    def settings(self, task: Task, problem: Any, budget: Budget) -> Settings:
+        """See :class:`Product`. The length of chains suits a given number of paths or particles."""
+        settings: Any = super().settings(task, problem, budget)
+        if issubclass(task.method, MetropolisParticles) and (steps := task.budget.samples or self.particles):
+            settings = settings.for_budget(steps, task.settings)
+        return settings
+
+    def budget(self, method: Any, budget: Budget) -> Budget:
+        """See :class:`Product`: the paths of a number of particles."""
+        if self.particles is None:
+            return budget
+        if self.known is None:
+            return replace(budget, samples=method.paths_for(self.particles))
+        per_path = len(self.known) / max(self.known.paths, 1) or 1.0
+        return replace(budget, samples=max(1, round(self.particles / per_path)))
+
+    def prepared(self, job: Job) -> None:
+        """See :class:`Product`: makes the file."""
+        if self.known is not None:
+            self._writer = ParticleWriter.resume(self.known)
+            return
+        if self.output is None:
+            return
+        tracing: Any = job.method
         header = {
-            "scene": problem.source,
-            "fingerprint": problem.fingerprint,
-            "light_fingerprint": problem.light_fingerprint,
-            "place": job.place,
+            "scene": job.problem.source,
+            "fingerprint": job.problem.fingerprint,
+            "light_fingerprint": job.problem.light_fingerprint,
+            "place": job.task.source.place(),
             "seed": job.seed,
-            "method": request.method,
+            "method": tracing.name,
             "settings": tracing.settings.to_json(),
             "paths_per_pass": tracing.samples_per_iteration,
             "versions": versions(),
-        } | ({} if request.boxes is None else {"boxes": list(request.boxes)})
-        writer = ParticleWriter.create(request.output, header, tracing.surfaces, Codec.parse(request.codec))
-        return cls(job, writer)._cut(request.boxes)
+        } | ({} if self.boxes is None else {"boxes": list(self.boxes)})
+        self._writer = ParticleWriter.create(self.output, header, tracing.surfaces, Codec.parse(self.codec))
 
-    def _cut(self, boxes: Sequence[int] | None) -> ParticleWork:
-        self.boxes = None if boxes is None else (boxes[0], boxes[1], boxes[2])
-        return self
+    def divided(self, job: Job, cluster: Cluster) -> MakeExecutor:
+        """See :class:`Product`. Workers send passes singly, because the file contains single passes."""
+        try:
+            if job.method.carries_on:
+                raise OptionError(
+                    f"'{job.method.name}' cannot be divided among workers, because its chains go on from pass to pass; "
+                    f"trace by '{ParticleTracing.name}', or without workers"
+                )
+            return cluster.executor(job, longest=1) if self.boxes is None else self._in_boxes(job, cluster, self.boxes)
+        except Exception:
+            self._give_up()
+            raise
 
-    @classmethod
-    def resume(
-        cls, path: Path, budget: Budget, particles: int | None = None, scene: Any = None, wording: Wording = PYTHON
-    ) -> ParticleWork:
-        """Continue a file; without a budget, with the rest of the budget of its run. ``scene``: its new place.
-
-        Raises :class:`OptionError` for limits as in a request, :class:`ParticleError` for a file that cannot be read,
-        :class:`CheckpointError` if the scene has changed or the budget is used up."""
-        wording.check_either("paths", budget.samples, "particles", particles)
-        known = ParticleFile(path)
-        saved = _checkpoint(known)
-        if particles is not None:
-            per_path = len(known) / max(known.paths, 1) or 1.0
-            budget = Budget(budget.seconds, max(1, round(particles / per_path)))
-        one, other, time_ = map(wording.option, ("paths", "particles", "seconds"))
-        budget = budget or remaining(saved, f"{one}, {other} or {time_}")
-        job = Job.resume(saved, TRACINGS[saved.method], budget=budget, scene=scene)
-        return cls(job, ParticleWriter.resume(known))._cut(known.header.get("boxes"))
-
-    def runner(self, **options: Any) -> Runner:
-        """See :class:`Work`."""
-        make: MakeExecutor = InTurn
-        if self.boxes is not None and self.cluster is None and self._job.start is None:
-            logger.info("without workers the scene is not divided into boxes")
-        if self.cluster is not None:
-            try:
-                make = self._divided(self.cluster)
-            except Exception:
-                if self._writer is not None and not self._writer.passes:
-                    self._writer.discard()
-                raise
-        options["executor"] = make if self._writer is None else partial(_Written, self._writer, self._job, make)
-        return self._job.runner(**options)
-
-    def _divided(self, cluster: Cluster) -> MakeExecutor:
-        """The executor of the workers, which send passes singly, because the file contains single passes."""
-        if self._job.method.carries_on:
-            raise OptionError(
-                f"'{self._job.method.name}' cannot be divided among workers, because its chains go on from pass to "
-                f"pass; trace by '{ParticleTracing.name}', or without workers"
-            )
-        if self.boxes is None:
-            return cluster.rendering(self._job, longest=1)
-        return self._in_boxes(cluster, self.boxes)
-
-    def _in_boxes(self, cluster: Cluster, boxes: tuple[int, int, int]) -> MakeExecutor:
+    def _in_boxes(self, job: Job, cluster: Cluster, boxes: tuple[int, int, int]) -> MakeExecutor:
         """The executor of a divided scene."""
-        from etendue.distributed import Divided, Traffic, part_ingredients, recipe
+        from etendue.distributed import Divided, Traffic, recipe
 
-        job, tracing = self._job, self._job.method
-        assert isinstance(tracing, ParticleTracing) and job.task is not None
+        tracing, source = job.method, job.task.source
+        assert isinstance(tracing, ParticleTracing) and isinstance(source, SceneSource)
         check_divisible(tracing)
         ids, bounds = shape_boxes(job.problem)
         grid = BoxGrid.even(bounds, boxes)
-        recipes = []
-        for box in range(len(grid)):
-            part = part_ingredients(job.task, {ids[k] for k in grid.touching(box, bounds)})
-            make = f"{make_box_tracing.__module__}:{make_box_tracing.__name__}"
-            recipes.append(recipe(part, tracing, None, box_arguments(grid, box, ids), make))
+        make = f"{make_box_tracing.__module__}:{make_box_tracing.__name__}"
+        recipes = [
+            recipe(
+                source.part_ingredients({ids[k] for k in grid.touching(box, bounds)}),
+                *(tracing, None, box_arguments(grid, box, ids), make),
+            )
+            for box in range(len(grid))
+        ]
         self._traffic = traffic = Traffic()
         paths = tracing.samples_per_iteration
         return lambda order: Divided(cluster.pool, recipes, order, paths, gathered, traffic=traffic)
 
-    def keep(self, run: RunResult) -> None:
-        """See :class:`Work`: passes are in the file already."""
-        if self._writer is not None and self._writer.passes:
-            self._writer.close(stopped_by=run.stopped_by, elapsed=run.elapsed, **_budget_of(self._job))
+    def executor(self, job: Job, make: MakeExecutor) -> MakeExecutor:
+        """See :class:`Product`: writes the particles of each pass."""
+        if self.boxes is not None and make is InTurn and job.start is None:
+            logger.info("without workers the scene is not divided into boxes")
+        return make if self._writer is None else partial(_Written, self._writer, job, make)
 
-    def finish(self, run: RunResult) -> ParticleResult:
-        """See :class:`Work`."""
-        self.keep(run)
+    def described(self, job: Job, progress: Progress) -> Progress:
+        """See :class:`Product`."""
+        return replace(progress, made=format_count(progress.samples, "path"))
+
+    def keep(self, job: Job, run: RunResult) -> None:
+        """See :class:`Product`: passes are in the file already."""
+        if self._writer is not None and self._writer.passes:
+            self._writer.close(stopped_by=run.stopped_by, elapsed=run.elapsed, **_budget_of(job))
+
+    def finish(self, job: Job, run: RunResult, tell: Callable[[str], object] = silent) -> ParticleResult:
+        """See :class:`Product`."""
+        self.keep(job, run)
         if bad := int(run.measurement.counters["nonfinite"]):
             logger.warning("%d particles had a power that is not finite, and were left out", bad)
-        tracing: Any = self._job.method
+        tracing: Any = job.method
         return ParticleResult(
             tracing.particles(run.measurement) if self._writer is None else None,
             None if self._writer is None else self._writer.path,
@@ -256,6 +228,10 @@ class ParticleWork:
             run.elapsed,
             self._traffic,
         )
+
+    def _give_up(self) -> None:
+        if self._writer is not None and not self._writer.passes:
+            self._writer.discard()
 
 
 def _budget_of(job: Job) -> dict[str, Any]:

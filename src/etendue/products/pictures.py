@@ -1,24 +1,31 @@
-"""Pictures as work: the run, the picture in memory, and its files."""
+"""Pictures: in memory, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
-from etendue.core import InNotebooks, OptionError, Progress, Result, checked_path, warn_of_nonfinite
-from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
+from etendue.core import (
+    InNotebooks,
+    Method,
+    OptionError,
+    Result,
+    Settings,
+    checked_path,
+    logger,
+    warn_of_nonfinite,
+)
+from etendue.engine import Budget, Checkpoint, Job, Product, RunResult, Task, check_period, silent, versions
+from etendue.scene import Problem, SceneSource
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
-
-if TYPE_CHECKING:
-    from etendue.distributed import Cluster
 
 Image = NDArray[np.float32]
 
@@ -60,46 +67,11 @@ class Rendering(InNotebooks):
         return f"<etendue.Rendering {m['method']} {width}x{height}, {m['samples']} spp, {m['seconds']:.1f} s>"
 
 
-@dataclass(frozen=True)
-class Update:
-    """The argument of a callback after each pass."""
+@dataclass
+class Picture(Product[Rendering]):
+    """A picture, its files and a checkpoint. :meth:`of` checks that they can be written."""
 
-    progress: Progress
-    _runner: Runner = field(repr=False)
-
-    @property
-    def image(self) -> Image:
-        """The current picture, developed at each access."""
-        return self.layers["image"]
-
-    @property
-    def layers(self) -> dict[str, Image]:
-        """The current picture with its layers, developed at each access."""
-        snapshot = self._runner.snapshot()
-        assert snapshot is not None  # a callback follows a pass
-        return snapshot.layers
-
-
-class Writer(Protocol):
-    """Writes the outcome of a run, at intervals and at the end; :class:`Outputs` implements it."""
-
-    @property
-    def files(self) -> Sequence[Path]:
-        """Files that are or will be written."""
-        ...
-
-    def saving(self, job: Job) -> dict[str, Any]:
-        """Options of the :class:`Runner` of ``job`` for intermediate saves."""
-        ...
-
-    def write(self, job: Job, run: RunResult) -> Rendering:
-        """Write the outcome of a run."""
-        ...
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Files that a run writes. :meth:`of` checks that they can be written."""
+    kind: ClassVar[str] = "picture"
 
     pictures: tuple[Path, ...] = ()
     checkpoint: Path | None = None
@@ -111,37 +83,54 @@ class Outputs:
     @classmethod
     def of(
         cls,
-        pictures: PathLike | Sequence[PathLike],
+        pictures: PathLike | Sequence[PathLike] = (),
         checkpoint: PathLike | None = None,
         save_every: float | None = None,
         separate: bool = False,
         tone: str = "srgb",
         exposure: float | str = "auto",
-    ) -> Outputs:
+    ) -> Picture:
         """Check and make. Raises :class:`OptionError` for an unknown suffix, tone curve or exposure, a file that is
         named twice or a time that is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
         kept = checked_path(checkpoint, "a checkpoint") if checkpoint is not None else None
-        outputs = cls(listed(pictures), kept, save_every, separate, tone, exposure)
-        for path in outputs.pictures:
+        made = cls(listed(pictures), kept, save_every, separate, tone, exposure)
+        for path in made.pictures:
             check_picture(path)
         if (tone, exposure) != (cls.tone, cls.exposure):
             from etendue import display  # imported late: most of it is for pages and plots
 
             display.check_tone(exposure, tone)
-        check_files(outputs.files)
-        return outputs
+        check_files(made.files)
+        return made
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Pictures, then the checkpoint."""
         return self.pictures if self.checkpoint is None else (*self.pictures, self.checkpoint)
 
+    def default_budget(self, task: Task, problem: Problem) -> Budget:
+        """The scene's own sample count."""
+        return Budget(samples=max(1, problem.spp))
+
+    def settings(self, task: Task, problem: Problem, budget: Budget) -> Settings:
+        """See :func:`scene_settings`."""
+        return scene_settings(task.method, problem, task.settings)
+
     def saving(self, job: Job) -> dict[str, Any]:
-        """Options of the :class:`Runner` of ``job`` for intermediate saves."""
+        """See :class:`Product`."""
         if not self.files:
             return {}
         return {"on_save": lambda run: self.write(job, run), "save_every": self.save_every}
+
+    def keep(self, job: Job, run: RunResult) -> Rendering:
+        """See :class:`Product`: all files are written."""
+        return self.finish(job, run)
+
+    def finish(self, job: Job, run: RunResult, tell: Callable[[str], object] = silent) -> Rendering:
+        """See :class:`Product`."""
+        warn_of_nonfinite(run.measurement)
+        return self.write(job, run)
 
     def write(self, job: Job, run: RunResult) -> Rendering:
         """Write the checkpoint, develop ``run`` and write the pictures. If one file fails, the others are still
@@ -165,7 +154,7 @@ class Outputs:
                 write_checkpoint(kept)
         last = partial(rescue, "render.checkpoint", "checkpoint", ("", write_checkpoint)) if kept is None else str
         with writing.attempt("develop the picture", last):
-            result = job.result(run)
+            result = developed(job, run)
         for picture in self.pictures if result is not None else ():
             write = partial(save_result, result=result, separate=self.separate, tone=self.tone, exposure=self.exposure)
             ways = ("", write), (".npz", partial(_write_arrays, layers=result.layers))
@@ -176,29 +165,62 @@ class Outputs:
         return Rendering(result.layers, result.metadata, lambda: job.checkpoint(run))
 
 
-@dataclass
-class PictureWork:
-    """A job of the engine and the writer of its files; see :class:`Work`."""
+def picture_task(
+    source: SceneSource,
+    method: type[Method],
+    product: Product[Any],
+    settings: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    budget: Budget | None = None,
+) -> Task:
+    """The task of a picture."""
+    task = Task(source, method, product, settings or {}, seed, budget or Budget())
+    made = method.Settings.from_mapping(task.settings)
+    if getattr(made, "cryptomatte", False):  # Cryptomatte identifies shapes by their names
+        task = replace(task, source=replace(source, merge=False))
+    return task
 
-    job: Job
-    outputs: Writer
-    cluster: Cluster | None = None  #: makes the passes; without it this process does
-    started_by: ClassVar[str] = "etendue.start"
 
-    def runner(self, **options: Any) -> Runner:
-        """See :class:`Work`."""
-        if self.cluster is not None:
-            options["executor"] = self.cluster.rendering(self.job)
-        return self.job.runner(**self.outputs.saving(self.job), **options)
+def scene_settings(method: type[Method], problem: Problem, given: Mapping[str, Any]) -> Settings:
+    """The settings of a method: ``given`` ones first, then those of the scene's integrator, then the defaults."""
+    known = method.Settings.names()
+    from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
+    if problem.integrator and problem.integrator in (method.name, method.plugin_name()):
+        if unknown := sorted(problem.integrator_options.keys() - set(known)):
+            logger.warning(
+                "option '%s' of the scene's integrator '%s' is not supported and is ignored",
+                "', '".join(unknown),
+                problem.integrator,
+            )
+        from_scene |= problem.integrator_options
+    values = {k: v for k, v in from_scene.items() if k in known} | dict(given)
+    made: Settings = method.Settings.from_mapping(values, owner=f"method '{method.name}'")
+    return made
 
-    def keep(self, run: RunResult) -> Rendering:
-        """See :class:`Work`."""
-        return self.finish(run)
 
-    def finish(self, run: RunResult) -> Rendering:
-        """See :class:`Work`."""
-        warn_of_nonfinite(run.measurement)
-        return self.outputs.write(self.job, run)
+def developed(job: Job, run: RunResult) -> Result:
+    """The picture of ``run`` with the metadata of its files."""
+    result, measurement = run.result, run.measurement
+    counters = {k: v for k, v in measurement.counters.items() if k not in ("samples", "seconds", "rays", "nonfinite")}
+    error = measurement.relative_error() if measurement.has_error() else float("nan")
+    result.metadata = {
+        **result.metadata,
+        "method": job.method.name,
+        "settings": job.method.settings.to_dict(),
+        "seed": job.seed,
+        "scene": job.problem.source,
+        "fingerprint": job.problem.fingerprint,
+        "passes": run.passes,
+        "samples": run.samples,
+        "seconds": round(measurement.counters.get("seconds", run.elapsed), 3),
+        "rays": measurement.counters.get("rays", 0.0),
+        "nonfinite": measurement.counters.get("nonfinite", 0.0),
+        "relative_error": error if error == error else None,
+        "stopped_by": run.stopped_by,
+        **({"counters": counters} if counters else {}),
+        "versions": versions(),
+    }
+    return result
 
 
 def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:

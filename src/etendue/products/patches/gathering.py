@@ -31,7 +31,7 @@ def picture(
     solution: Solution,
     scene: Any,
     *,
-    samples: int = 16,
+    spp: int = 16,
     gather: int = 0,
     smooth: bool = True,
     angle: float = 30.0,
@@ -46,7 +46,7 @@ def picture(
     ``scene`` is an argument or a result of :func:`etendue.scene.load`; its shapes are those of the patches, including
     curved ones. All sensors are supported, and pixels are filtered as in other methods.
 
-    Without ``gather`` the picture shows the radiosity B of the visible surfaces as the radiance B / pi, by ``samples``
+    Without ``gather`` the picture shows the radiosity B of the visible surfaces as the radiance B / pi, by ``spp``
     rays per pixel. B consists of the emission and the reflectance of the patch and of the irradiance, which is
     interpolated over edges of at most ``angle`` degrees; with ``smooth=False`` it is constant on each patch. Only the
     shapes of the scene are used.
@@ -65,7 +65,7 @@ def picture(
     are not on the surfaces of the scene, and the errors of loading.
     """
     check_colours(solution)
-    for name, value, least in (("samples", samples, 1), ("gather", gather, 0)):
+    for name, value, least in (("spp", spp, 1), ("gather", gather, 0)):
         if not is_whole(value) or value < least:
             raise OptionError(f"{name} is a whole number of at least {least}, not {value!r}")
     error = None if irradiance_error is None else np.asarray(irradiance_error, dtype=np.float64)
@@ -80,11 +80,11 @@ def picture(
     surfaces = PatchSurfaces(solution.patches)
     values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle, emission=gather == 0)
     method = _Gathered(surfaces, values) if gather else _Seen(surfaces, values, solution.patches.sky)
-    layers = {"image": _run(method, problem, gather or samples, seed, on_pass)}
+    layers = {"image": _run(method, problem, gather or spp, seed, on_pass)}
     if error is not None:
         reflected = SurfaceValues(surfaces, solution.patches.reflectance * error)
-        layers["error"] = _run(_Seen(surfaces, reflected), problem, min(samples, 16), seed)
-    known = {"method": method.name, "samples": gather or samples, "smooth": smooth, "patches": len(solution.patches)}
+        layers["error"] = _run(_Seen(surfaces, reflected), problem, min(spp, 16), seed)
+    known = {"method": method.name, "samples": gather or spp, "smooth": smooth, "patches": len(solution.patches)}
     return Result(layers, known)
 
 

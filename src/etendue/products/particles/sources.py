@@ -12,7 +12,7 @@ import numpy as np
 
 from etendue.core import OptionError, logger
 from etendue.particles import ParticleFile, Particles
-from etendue.scene import Problem, bundled_scene, load, locate
+from etendue.scene import Problem, found, load, locate
 
 #: Particles that are added at once.
 _BATCH = 1 << 20
@@ -84,7 +84,7 @@ class FileSource:
         if scene is None:
             if not {"source", "bundled"} & place.keys():
                 raise OptionError(f"'{self.file.path}' was traced in a scene in memory; give the scene")
-            scene = place.get("source") or bundled_scene(place["bundled"])
+            scene = found(place)
         elif isinstance(scene, (str, os.PathLike)):
             scene = locate(scene, logger.debug)
         problem = load(scene, parameters=parameters, memory=memory)

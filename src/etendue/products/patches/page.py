@@ -36,7 +36,7 @@ from etendue.display import (
 from etendue.engine import versions
 from etendue.film import write_bytes
 
-from .meshviews import mesh_views, on_pixels, seen_patches
+from ..pages.meshviews import mesh_views, on_pixels, seen_patches
 
 if TYPE_CHECKING:
     from etendue.display import Part

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -27,24 +26,17 @@ from etendue.radiosity import (
     check_file,
     gltf_mesh,
     lightmap,
-    read_solution,
     save_lightmap,
     save_solution,
     save_textured_mesh,
     scene_mesh,
-    solution_metadata,
 )
 from etendue.scene import Problem
-from etendue.surfaces import differences
 
-from .files import Writing
+from ..files import Writing
+from ..pictures import save_result
 from .gathering import PICTURE_FILES, picture
-from .pages.solution import PAGE_FILES, Making, write_solution_page
-from .pictures import save_result
-from .wording import Wording
-
-if TYPE_CHECKING:
-    from .requests import RadiosityRequest
+from .page import PAGE_FILES, Making, write_solution_page
 
 #: Scale of error pictures: the relative standard errors shown as black and as yellow.
 ERROR_SCALE = (1e-3, 1.0)
@@ -69,7 +61,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class SolutionOutputs:
+class SolutionFiles:
     """The requested outputs of a solution. ``files`` are solutions, pictures (.exr, .png) or pages (.html), depending
     on their suffixes."""
 
@@ -78,7 +70,7 @@ class SolutionOutputs:
     size: tuple[int, int] | None = None
     sensor: int = 0
     gather: int = 0  #: paths per pixel for final gathering; 0 shows the patches
-    samples: int = 16  #: rays per pixel without ``gather``
+    spp: int = 16  #: rays per pixel without ``gather``
     smooth: bool = True  #: in pictures and lightmaps
     error_picture: bool = False  #: beside a .png, its relative standard error in false colours
     # Of a lightmap.
@@ -122,37 +114,32 @@ class SolutionOutputs:
 
     # ------------------------------------------------------------------ checks
 
-    def check(self, wording: Wording) -> None:
+    def check(self) -> None:
         """Checks without the source. Raises :class:`OptionError` for options that exclude each other and for numbers
         out of range, ``RadiosityError`` for an unknown suffix, ``BackendError`` for a missing library."""
-        option = wording.option
         for path in self.files:
             check_file(path, SOLUTION_FILES | PICTURE_FILES | PAGE_FILES)
         if self.lightmap is not None:
             check_file(self.lightmap, _LIGHTMAPS)
-        for name, least in (("sensor", 0), ("gather", 0), ("samples", 1), ("lightmap_size", _LEAST_TEXELS)):
+        for name, least in (("sensor", 0), ("gather", 0), ("spp", 1), ("lightmap_size", _LEAST_TEXELS)):
             if not is_whole(value := getattr(self, name)) or value < least:
-                raise OptionError(f"{option(name)} is a whole number of at least {least}, not {value!r}")
+                raise OptionError(f"{name} is a whole number of at least {least}, not {value!r}")
         given = next((name for name in ("gather", "size", "sensor") if getattr(self, name)), None)
         if given and not self.pictures:
-            other = f", without {option('lightmap')}" if self.lightmap is not None else ""
-            raise OptionError(f"{option(given)} is for pictures; write .exr or .png{other}")
+            other = ", without a lightmap" if self.lightmap is not None else ""
+            raise OptionError(f"{given} is for pictures; write .exr or .png{other}")
         if self.error_picture and not self.error_pictures:
-            name = option("error_picture")
-            raise OptionError(f"{name} is for .png; in .exr the error is a layer, in other files an array")
+            raise OptionError("an error picture is for .png; in .exr the error is a layer, in other files an array")
         if self.uv is not None and self.lightmap is None:
-            raise OptionError(f"{option('uv')} is for lightmaps; {wording.lightmap}")
+            raise OptionError("uv is for lightmaps; ask for one")
         if self.uv is None and self.lightmap is not None and find_spec("xatlas") is None:
-            raise BackendError(
-                f"an atlas needs xatlas, not installed: pip install 'etendue[lightmap]', or give {option('uv')}"
-            )
+            raise BackendError("an atlas needs xatlas, not installed: pip install 'etendue[lightmap]', or give uv")
 
-    def check_source(self, patches: Patches, problem: Problem | None, wording: Wording) -> None:
+    def check_source(self, patches: Patches, problem: Problem | None) -> None:
         """Checks of the source and of texture coordinates, before lines are cast. Raises :class:`OptionError` for
         outputs that need a scene if there is none, ``RadiosityError`` for channels that cannot be shown."""
-        option = wording.option
         if problem is None and (self.pictures or self.uv == OWN):
-            what = "a picture needs a scene with a camera" if self.pictures else f"{option('uv')} scene needs a scene"
+            what = "a picture needs a scene with a camera" if self.pictures else "uv of the scene needs a scene"
             raise OptionError(f"{what}; for a mesh choose another kind of file")
         shown = [path.suffix.lower() for path in self.files if path.suffix.lower() in (*_COLOURS, *PICTURE_FILES)]
         shown += [] if self.lightmap is None else ["a lightmap"]
@@ -162,12 +149,12 @@ class SolutionOutputs:
             check_coordinates(self._coordinates(problem), (self.lightmap_size, self.lightmap_size))
 
     def check_errors(
-        self, error: Array | None, wording: Wording, needed: str = "the standard error, which is unknown; leave it out"
+        self, error: Array | None, needed: str = "the standard error, which is unknown; leave it out"
     ) -> None:
         """Raise :class:`OptionError` if an error picture is requested and the errors are unknown; it names what was
         ``needed`` to know them."""
         if self.error_picture and error is None:
-            raise OptionError(f"{wording.option('error_picture')} needs {needed}")
+            raise OptionError(f"an error picture needs {needed}")
 
     # ------------------------------------------------------------------ writing
 
@@ -178,7 +165,6 @@ class SolutionOutputs:
         solution: Solution,
         error: Array | None,
         metadata: Mapping[str, Any],
-        wording: Wording,
         tell: Callable[[str], object],
         making: Making | None = None,
     ) -> Shown:
@@ -194,7 +180,7 @@ class SolutionOutputs:
                 assert problem is not None  # see check_source
                 tell("rendering the picture")
                 shown.picture = self._picture(problem, solution, error, metadata, tell)
-                self._write_pictures(writing, shown.picture, error, wording)
+                self._write_pictures(writing, shown.picture, error)
         if self.lightmap is not None:
             with writing.attempt("make the lightmap"):
                 tell("making the lightmap")
@@ -217,7 +203,7 @@ class SolutionOutputs:
         made = picture(
             solution,
             problem,
-            samples=self.samples,
+            spp=self.spp,
             gather=self.gather,
             smooth=self.smooth,
             irradiance_error=error,
@@ -225,13 +211,13 @@ class SolutionOutputs:
         )
         return Result(made.layers, {**made.metadata, **metadata})
 
-    def _write_pictures(self, writing: Writing, made: Result, error: Array | None, wording: Wording) -> None:
+    def _write_pictures(self, writing: Writing, made: Result, error: Array | None) -> None:
         for path in self.pictures:
             with writing.attempt(f"write '{path}'"):
                 save_result(path, made)
         for path in self.error_pictures:
             with writing.attempt(f"write '{path}'"):
-                self.check_errors(error, wording)
+                self.check_errors(error)
                 _write_errors(path, made)
 
     def _write_lightmap(self, problem: Problem | None, solution: Solution, metadata: Mapping[str, Any]) -> Lightmap:
@@ -256,7 +242,7 @@ class SolutionOutputs:
 
     # ------------------------------------------------------------------ plain values
 
-    def renamed(self, outputs: Sequence[Path]) -> SolutionOutputs:
+    def renamed(self, outputs: Sequence[Path]) -> SolutionFiles:
         """The same outputs with other files; one is the lightmap, if there were no other files than that."""
         if self.files or self.lightmap is None:
             return replace(self, files=tuple(outputs), lightmap=None, uv=None)
@@ -277,7 +263,8 @@ class SolutionOutputs:
         """Inverse of :meth:`to_dict`. Raises :class:`TypeError` or :class:`KeyError` for other values."""
         lightmap, size = plain.get("lightmap"), plain.get("size")
         paths = {"files": tuple(map(Path, plain["files"])), "lightmap": lightmap and Path(lightmap)}
-        return cls(**{**plain, **paths, "size": size and tuple(size)})  # JSON knows no tuples
+        known = {"spp" if name == "samples" else name: value for name, value in plain.items()}  # an earlier name
+        return cls(**{**known, **paths, "size": size and tuple(size)})  # JSON knows no tuples
 
 
 def files_and_lightmap(outputs: Sequence[Path]) -> tuple[tuple[Path, ...], Path]:
@@ -292,76 +279,6 @@ def files_and_lightmap(outputs: Sequence[Path]) -> tuple[tuple[Path, ...], Path]
         )
     lightmap = (could or outputs)[0]
     return tuple(path for path in outputs if path != lightmap), lightmap
-
-
-def saved_solution(
-    request: RadiosityRequest, problem: Problem | None, path: Path, more: Mapping[str, Any] | None = None
-) -> tuple[Solution, Array | None, dict[str, Any]]:
-    """The solution of a file, the standard error of its irradiance and its metadata.
-
-    more: options that were given although they have the default value. Raises :class:`OptionError` for options that
-    contradict those of the solution, :class:`RadiosityError` for a solution of another scene, and the errors of
-    :func:`read_solution`.
-    """
-    solution, error = read_solution(path)
-    known = solution_metadata(path)
-    _check_options(path, known, {**request.asked, **(more or {})}, request)
-    _check_scene(path, known, solution.patches, request, problem)
-    return solution, error, known
-
-
-def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with those of the mesh and of groups at the same level, as plain values, without those not given, and
-    without parameters of the scene, which the scene itself shows."""
-    flat = {name: value for name, value in settings.items() if not isinstance(value, Mapping)}
-    for name in ("mesh", "groups"):
-        flat |= {key: value for key, value in settings.get(name, {}).items() if value is not False}
-    plain: dict[str, Any] = json.loads(json.dumps(flat, default=lambda value: value.tolist()))
-    return {name: value for name, value in plain.items() if value is not None}
-
-
-def _check_options(path: Path, known: Mapping[str, Any], asked: Mapping[str, Any], request: RadiosityRequest) -> None:
-    defaults = {field.name: field.default for field in fields(request)}
-    before, unknown = _flat(known.get("settings", {})), "settings" not in known
-    wrong = []
-    for name, value in _flat(asked).items():
-        option = request.wording.option(name)
-        made = next((known[key] for key in _MADE_BY.get(name, ()) if key in known), None)
-        if made is None and unknown and value is not False:
-            raise OptionError(f"'{path}' does not say its {option}: leave it out, since nothing is solved again")
-        if made is None:
-            made = before.get(name, defaults.get(name))
-        if made != value and (made or value):
-            wrong.append(f"{_with(option, made)}, not {_with(option, value)}")
-    if wrong:
-        raise OptionError(f"'{path}' was made {'; '.join(wrong)}: leave that out, or solve again without the solution")
-
-
-def _with(option: str, value: Any) -> str:
-    if value is None or (value is True and option.startswith("--no-")):
-        return f"without {option}"
-    if isinstance(value, bool):
-        return f"with {option}"
-    row = np.ravel(value).tolist()
-    return f"with {option}{'' if option.endswith('=') else ' '}{','.join(map(str, row))}"
-
-
-def _check_scene(
-    path: Path, known: Mapping[str, Any], patches: Patches, request: RadiosityRequest, problem: Problem | None
-) -> None:
-    """Raise :class:`RadiosityError` unless the patches are those of the request's source."""
-    before = known.get("settings", {})
-    mesh = {**before.get("mesh", {}), **{name: value for name, value in request.mesh.items() if value is not None}}
-    max_area = request.max_area if request.max_area is not None else before.get("max_area")
-    here = replace(request, mesh=mesh if request.is_mesh else {}, max_area=max_area).read(problem)
-    # A file of an earlier version, or from Python, does not say how it was made.
-    told = "settings" in known
-    different = differences(patches, here, divided=not told and max_area is None, light=told or not request.is_mesh)
-    if different:
-        of = f" ({known['source']})" if "source" in known else ""
-        raise RadiosityError(
-            f"'{path}' is the solution of another scene{of} than '{request.name}': {', '.join(different)}; solve again"
-        )
 
 
 def _beside(path: Path) -> Path:

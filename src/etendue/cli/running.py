@@ -1,4 +1,4 @@
-"""Shared by the rendering commands: the session with its progress bar, and the summary of the result."""
+"""Shared by the commands that run: the session with its progress bar, files, and the summary of a picture."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from etendue.api import Callback, start_job
 from etendue.core import OptionError, OutputError, format_rate, format_seconds, lower_priority, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
-from etendue.jobs import Rendering, Writer
+from etendue.products import Callback, Picture, Rendering, start_job
 from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say
@@ -97,22 +96,22 @@ def follow(open_session: Callable[[], Session[T]], console: Console, label: str)
 
 def render_to_files(
     open_job: Callable[[], Job],
-    outputs: Writer,
+    product: Picture,
     label: str,
     cluster: Cluster | None = None,
     callback: Callback | None = None,
 ) -> int:
-    """Render, write ``outputs`` and print their paths on standard output, one per line; ``cluster`` makes the passes,
-    ``callback`` is called after each. Returns the exit status."""
+    """Render, write the files of ``product`` and print their paths on standard output, one per line; ``cluster`` makes
+    the passes, ``callback`` is called after each. Returns the exit status."""
     console = error_console()
     try:
-        outcome = follow(lambda: start_job(open_job, outputs, callback, cluster), console, label)
+        outcome = follow(lambda: start_job(open_job, callback, cluster), console, label)
     except RunError:
-        _name_files(outputs)  # they contain the passes before the failure
+        _name_files(product)  # they contain the passes before the failure
         raise
     if outcome.result is not None:
         note(console, summary(outcome.result))
-        _name_files(outputs)
+        _name_files(product)
     return outcome.exit_code
 
 
@@ -129,8 +128,8 @@ def shown_in_tev(address: str | None, name: str) -> Iterator[Callback | None]:
         yield lambda update: display.offer(lambda: update.layers)
 
 
-def _name_files(outputs: Writer) -> None:
-    say("\n".join(map(str, outputs.files)))
+def _name_files(product: Picture) -> None:
+    say("\n".join(map(str, product.files)))
 
 
 def summary(rendering: Rendering) -> str:

@@ -1,1 +1,0 @@
-"""Maps of irradiance: made from particles, and written."""

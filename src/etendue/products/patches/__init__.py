@@ -1,0 +1,18 @@
+"""Form factors and solutions: what is made from lines through patches, and its files."""
+
+from .base import PatchProduct as PatchProduct
+from .factors import FormFactorProduct as FormFactorProduct
+from .gathering import PICTURE_FILES as PICTURE_FILES, picture as picture
+from .saved import write_saved as write_saved
+from .solution_files import (
+    ERROR_SCALE as ERROR_SCALE,
+    SolutionFiles as SolutionFiles,
+    files_and_lightmap as files_and_lightmap,
+)
+from .solutions import SolutionProduct as SolutionProduct
+from .tasks import (
+    AtOnce as AtOnce,
+    FactorRun as FactorRun,
+    SolutionRun as SolutionRun,
+    without_hierarchy as without_hierarchy,
+)

@@ -1,0 +1,112 @@
+"""Form factors of patches, and their files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from etendue.core import Method, OptionError, Settings, suggest
+from etendue.engine import Job, RunResult, Task, silent
+from etendue.radiosity import (
+    ESTIMATORS,
+    FORM_FACTOR_FILES,
+    HierarchicalCasting,
+    PartialSegments,
+    PatchProblem,
+    PatchSource,
+    check_file,
+    check_text_size,
+    entry_bytes,
+    exact_form_factors,
+    form_factors,
+    partial_form_factors,
+    save_form_factors,
+)
+
+from ..files import Writing, about
+from ..results import FormFactorResult
+from .base import PatchProduct
+
+
+@dataclass(kw_only=True)
+class FormFactorProduct(PatchProduct[FormFactorResult]):
+    """Form factors by an ``estimator``, see :func:`etendue.radiosity.estimate`, and their ``outputs``."""
+
+    kind: ClassVar[str] = "form factors"
+    goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
+
+    estimator: str = "F1"
+    outputs: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.estimator not in ESTIMATORS:
+            raise OptionError(f"there is no estimator '{self.estimator}'; {suggest(self.estimator, ESTIMATORS)}")
+        for path in self.outputs:
+            check_file(path, FORM_FACTOR_FILES)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """See :class:`Product`."""
+        return self.outputs
+
+    @property
+    def entry_bytes(self) -> float:
+        """See :class:`PatchProduct`."""
+        return entry_bytes(self.estimator)
+
+    def check(self, problem: PatchProblem) -> None:
+        """See :class:`Product`."""
+        for path in self.outputs:
+            if path.suffix.lower() == ".vf":
+                check_text_size(path, len(problem.patches), 0)
+
+    def notes(self) -> dict[str, Any]:
+        """See :class:`Product`."""
+        known = {"estimator": self.estimator, "outputs": [str(path.absolute()) for path in self.outputs]}
+        return {"product": {"kind": self.kind, **known}}
+
+    def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, goal: Any) -> Method:
+        if issubclass(kind, HierarchicalCasting):
+            source: Any = task.source
+            return HierarchicalCasting(source.objects_of(problem.patches), settings, goal=goal)  # type: ignore[arg-type]
+        return super()._casting(task, kind, settings, problem, goal)
+
+    def _make(self, job: Job, run: RunResult, writing: Writing, tell: Callable[[str], object]) -> FormFactorResult:
+        bundles, segments = self._counted(job, run, tell)
+        make: Any = partial_form_factors if isinstance(segments, PartialSegments) else form_factors
+        factors = make(segments, self.estimator)
+        known = self._metadata(job, bundles=bundles, estimator=self.estimator)
+        patches = job.problem.patches
+        self._write(writing, patches, factors, known)
+        return FormFactorResult(
+            patches=patches,
+            factors=factors,
+            segments=segments,
+            bundles=bundles,
+            stopped_by=str(run.stopped_by),
+            elapsed=run.elapsed,
+        )
+
+    def at_once(
+        self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
+    ) -> FormFactorResult:
+        """Form factors by integrals instead of lines, of surfaces that hide nothing from each other."""
+        problem = source.open(tell)
+        self.check(problem)
+        on_patches(problem.patches)
+        tell("integrating over contours")
+        begin = time.perf_counter()
+        factors = exact_form_factors(problem.patches)
+        elapsed, writing = time.perf_counter() - begin, Writing()
+        self._write(writing, problem.patches, factors, about(problem.source, estimator="exact"))
+        writing.finish()
+        return FormFactorResult(patches=problem.patches, factors=factors, stopped_by="exact", elapsed=elapsed)
+
+    def _write(self, writing: Writing, patches: Any, factors: Any, known: dict[str, Any]) -> None:
+        for path in self.outputs:
+            with writing.attempt(f"write '{path}'"):
+                save_form_factors(path, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)

@@ -1,0 +1,205 @@
+"""The tasks of form factors and solutions, from what is asked for in Python or on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from etendue.core import Method, OptionError, Settings, logger
+from etendue.engine import Task, silent
+from etendue.radiosity import SOLVERS, GroupSettings, LineCasting, PartSource, PatchSource
+
+from ..registry import FACTORS, SOLUTIONS, budget_of, chosen, count_of, current, find
+from .base import PatchProduct
+from .factors import FormFactorProduct
+from .solution_files import SolutionFiles
+from .solutions import BOXES, SolutionProduct
+
+#: Methods without passes.
+EXACT, AMBIENT = "exact", "ambient"
+
+
+@dataclass(frozen=True)
+class AtOnce:
+    """A product that is made at once, without passes."""
+
+    source: PatchSource
+    product: PatchProduct[Any]
+
+    def make(self, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent) -> Any:
+        """Make it and write its files. ``tell`` receives the current step, ``on_patches`` the patches beforehand."""
+        return self.product.at_once(self.source, tell, on_patches)
+
+
+@dataclass(kw_only=True)
+class PatchRun:
+    """What runs on patches have in common; see :class:`PatchSource` and :class:`PatchProduct`."""
+
+    source: Any
+    method: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[str, Any] = field(default_factory=dict)  #: by name, see :func:`budget_of`
+    max_area: float | None = None
+    seed: int = 0
+    mesh: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, Any] | None = None
+    objects: Any = None
+    checkpoint: Path | None = None
+    save_every: float | None = None
+    is_watched: bool = False
+
+    def check_settings(self, function: Callable[..., Any]) -> None:
+        """Raise :class:`OptionError` for settings that the method does not have, which may be misspelt arguments of
+        ``function``."""
+        name = current(self.method or "lines")
+        known: Any = Settings if name in (EXACT, AMBIENT) else find(name).Settings
+        known.check_arguments(self.settings, f"method '{name}'", function)
+
+    def _given(self) -> dict[str, Any]:
+        """Arguments of the source."""
+        names = ("source", "max_area", "mesh", "parameters", "objects")
+        return {name: getattr(self, name) for name in names}
+
+    def _common(self) -> dict[str, Any]:
+        """Arguments of the product."""
+        return {name: getattr(self, name) for name in ("checkpoint", "save_every", "is_watched")}
+
+    def _refuse_limits(self, what: str) -> None:
+        names = [name for name, value in self.limits.items() if value is not None]
+        names += ["checkpoint"] * (self.checkpoint is not None) + list(self.settings)
+        if names:
+            raise OptionError(f"{what} casts no lines: leave out {', '.join(names)}")
+
+    def _task(self, source: PatchSource, kind: type[Method], product: PatchProduct[Any]) -> Task:
+        task = Task(source, kind, product, self.settings, self.seed, budget_of(kind, self.limits))
+        product.check_files(issubclass(kind, LineCasting))
+        return task
+
+
+@dataclass(kw_only=True)
+class FactorRun(PatchRun):
+    """Form factors; see :func:`etendue.compute_form_factors`."""
+
+    estimator: str | None = None
+    walls: Any = None
+    outputs: tuple[Path, ...] = ()
+
+    def task(self) -> Task | AtOnce:
+        """Check what can be checked before the source is read. Raises :class:`OptionError` for what does not fit."""
+        method = current(self.method or "lines")
+        around = method == "spheres"
+        for name in ("objects", "walls"):
+            if getattr(self, name) is not None and not around:
+                raise OptionError(f"{name} is for method spheres")
+        if self.objects is not None and not isinstance(self.objects, str):
+            self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
+        source = PatchSource(**self._given(), walls=self.walls)
+        estimator = self.estimator or ("F4" if around else "F1")
+        product = FormFactorProduct(**self._common(), estimator=estimator, outputs=self.outputs)
+        if method == EXACT:
+            self._refuse_limits("exact form factors")
+            product.check_files(False)
+            return AtOnce(source, product)
+        return self._task(source, chosen(method, (*FACTORS, EXACT), "form factors"), product)
+
+
+@dataclass(kw_only=True)
+class SolutionRun(PatchRun):
+    """A solution; see :func:`etendue.solve_radiosity`."""
+
+    solver: str | None = None
+    ambient: str | None = None
+    bounces: int | None = None
+    sub_scenes: str | None = None
+    groups: Mapping[str, Any] = field(default_factory=dict)
+    divide: bool = False
+    outputs: SolutionFiles = field(default_factory=SolutionFiles)
+
+    def task(self) -> Task | AtOnce:
+        """Check what can be checked before the source is read. Raises :class:`OptionError` for what does not fit."""
+        method = current(self.method)
+        if method in SOLVERS:
+            raise OptionError(f"'{method}' is a solver of method lines: give solver {method}")
+        at_once = self.ambient is not None and self.bounces is None
+        method = method or (AMBIENT if at_once else "lines")
+        if method == AMBIENT:
+            self.ambient, at_once = self.ambient or "fuzzy", True
+        elif at_once:
+            raise OptionError(
+                f"ambient light without bounces needs no method '{method}': leave it out, or give bounces for a "
+                "solution by lines that ends in an ambient term"
+            )
+        self._check(method, at_once)
+        product = SolutionProduct(
+            **self._common(),
+            solver=self.solver,
+            ambient=self.ambient,
+            bounces=self.bounces,
+            sub_scenes=self.sub_scenes,
+            divide=self.divide,
+            outputs=self.outputs,
+            asked=self.asked(method),
+        )
+        boxes = method == BOXES or self.sub_scenes == BOXES
+        kind: Any = PartSource if boxes else PatchSource
+        files: Any = {"size": self.outputs.size, "sensor": self.outputs.sensor}
+        groups: Any = {"groups": dict(self.groups)} if boxes else {}
+        source = kind(**self._given(), **files, **groups, for_light=True)
+        if method == AMBIENT:
+            self.outputs.check_errors(None, "lines to estimate the error; leave it out")
+            product.check_files(False)
+            return AtOnce(source, product)
+        kind = chosen(method, (*SOLUTIONS, AMBIENT), "a solution")
+        if self.limits.get(count := count_of(kind)) == 1:
+            self.outputs.check_errors(None, f"at least two {count} to estimate the error")
+        return self._task(source, kind, product)
+
+    def source_of_files(self) -> PatchSource:
+        """The source, if only files are to be written."""
+        return PatchSource(**self._given(), size=self.outputs.size, sensor=self.outputs.sensor, for_light=True)
+
+    def asked(self, method: str | None = None) -> dict[str, Any]:
+        """What was asked for, by name, without defaults."""
+        named: dict[str, Any] = {"method": None if method == "lines" else method, **self.limits}
+        names = ("solver", "ambient", "bounces", "sub_scenes", "objects", "max_area", "mesh", "groups", "parameters")
+        named |= {name: getattr(self, name) for name in (*names, "divide")} | dict(self.settings)
+        named["seed"] = self.seed or None
+        return {name: value for name, value in named.items() if value not in (None, False, {})}
+
+    def _check(self, method: str, at_once: bool) -> None:
+        if at_once:
+            self._refuse_limits("an ambient solution")
+        if self.solver is not None and method != "lines":
+            raise OptionError(f"a solver is for method lines; {method} solves by itself")
+        if self.bounces is not None and method != "lines":
+            raise OptionError(f"bounces is for method lines; {method} makes no iterations to be ended")
+        if self.sub_scenes is not None and not at_once:
+            raise OptionError("sub_scenes is for an ambient solution at once: give ambient, without bounces")
+        if self.sub_scenes not in (None, BOXES, "objects"):
+            self.objects, self.sub_scenes = self.sub_scenes, "objects"  # sub-scenes named by their objects
+        GroupSettings.from_mapping(self.groups, owner="the grouping to boxes")
+        if self.groups and BOXES not in (method, self.sub_scenes):
+            raise OptionError(f"{next(iter(self.groups))} is for boxes: give method boxes, or sub_scenes boxes")
+        if self.objects is not None and method != BOXES and self.sub_scenes is None:
+            raise OptionError("objects is for boxes and sub-scenes: give method boxes, or sub_scenes")
+        if self.divide and method != BOXES:
+            raise OptionError("divide puts boxes on workers: give method boxes, too")
+
+
+def without_hierarchy(run: FactorRun | SolutionRun, hierarchy: Any) -> None:
+    """Translate ``hierarchy``, the argument of version 1 for methods spheres and boxes."""
+    if hierarchy is None or hierarchy is False:
+        return
+    run.method = "spheres" if isinstance(run, FactorRun) else BOXES
+    logger.warning("hierarchy is now method %s with its settings, and goes with the next version", run.method)
+    if isinstance(hierarchy, Mapping) and isinstance(run, SolutionRun):
+        rest = dict(hierarchy)
+        run.objects = rest.pop("objects", run.objects)
+        run.groups = {**run.groups, **{name: rest.pop(name) for name in GroupSettings.names() if name in rest}}
+        run.settings = {**run.settings, **rest}
+    elif hierarchy is not True:
+        run.objects = hierarchy

@@ -1,0 +1,121 @@
+"""All methods by name, whatever they make, and what their budgets count."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+from etendue import methods
+from etendue.core import Method, OptionError, is_number, logger, suggest
+from etendue.engine import Budget
+from etendue.scene import integrator_of
+
+#: The method of pictures, if none is asked for.
+DEFAULT = "auto"
+
+#: Names of methods in earlier versions.
+_EARLIER = {
+    "global-lines": "lines",
+    "hierarchical-lines": "spheres",
+    "hierarchical-multipath": "boxes",
+}
+#: What the budget of a method that makes no picture counts; of ``boxes`` passes, of the others samples.
+_COUNTS = {
+    "lines": "bundles",
+    "spheres": "bundles",
+    "multipath": "points",
+    "boxes": "passes",
+    "particles": "paths",
+    "metropolis_particles": "paths",
+}
+#: Methods by what they make.
+FACTORS, SOLUTIONS, PARTICLES = ("lines", "spheres"), ("lines", "multipath", "boxes"), tuple(_COUNTS)[4:]
+
+
+@cache
+def _others() -> dict[str, type[Method]]:
+    """The methods that make no picture. Their modules are imported when one is asked for."""
+    from etendue import radiosity
+
+    kinds: tuple[Any, ...] = (
+        radiosity.LineCasting,
+        radiosity.HierarchicalCasting,
+        radiosity.MultipathPasses,
+        radiosity.HierarchicalMultipath,
+        methods.ParticleTracing,
+        methods.MetropolisParticles,
+    )
+    return {kind.name: kind for kind in kinds}
+
+
+def table() -> dict[str, type[Method]]:
+    """Names and classes: the methods of pictures in the order of the manual, then the others."""
+    return {**methods.table(), **_others()}
+
+
+def find(name: str) -> type[Method]:
+    """The class of a method. Raises :class:`OptionError` if there is none, with the nearest name."""
+    name = current(name)
+    if name in _COUNTS:
+        return _others()[name]
+    if isinstance(name, str) and name not in methods.table():
+        hint = suggest(name, [*methods.table(), *_COUNTS])
+        if "did you mean" in hint and not any(f"'{known}'" in hint for known in methods.table()):
+            raise OptionError(f"no method '{name}'; {hint}")
+    return methods.get(name)
+
+
+def chosen(name: str, among: tuple[str, ...], what: str) -> type[Method]:
+    """The class of a method that makes ``what``. Raises :class:`OptionError` for a method that does not."""
+    name = current(name)
+    if name not in among:
+        raise OptionError(f"no method '{name}' for {what}; {suggest(str(name), among)}")
+    return find(name)
+
+
+def choose_method(
+    name: str | None, scene: Any, parameters: Mapping[str, Any] | None, tell: Callable[[str], object] = logger.info
+) -> type[Any]:
+    """The class of the picture method ``name``; by default that of the scene's integrator (except ``path``), else
+    ``auto``.
+
+    ``tell`` receives a line if the scene's integrator is not used. Raises :class:`OptionError` for an unknown name, and
+    the errors of parsing the scene.
+    """
+    if name is not None:
+        return methods.get(name)
+    named = integrator_of(scene, parameters)
+    if (method := methods.by_plugin(named)) is not None:
+        return method
+    if named:
+        tell(f"the scene names the integrator '{named}'; no method is given, so {DEFAULT} renders it")
+    return methods.get(DEFAULT)
+
+
+def current(name: Any) -> Any:
+    """The present name of a method."""
+    return _EARLIER.get(name, name) if isinstance(name, str) else name
+
+
+def count_of(method: type[Method]) -> str:
+    """What the budget of a method counts."""
+    return _COUNTS.get(method.name, "spp")
+
+
+def budget_of(method: type[Method], limits: Mapping[str, Any]) -> Budget:
+    """The budget of a run: ``seconds``, ``error`` (a relative standard error) and what the method counts.
+
+    Raises :class:`OptionError` for a limit that the method does not count, and for values that are not above 0.
+    """
+    given, count = {name: value for name, value in limits.items() if value is not None}, count_of(method)
+    seconds, error, number = (given.pop(name, None) for name in ("seconds", "error", count))
+    if given:
+        raise OptionError(f"method '{method.name}' counts {count}: give {count} in place of {', '.join(given)}")
+    if error is not None:
+        if count == "paths":
+            raise OptionError("particles have no error: limit the paths, the particles or the seconds")
+        if not is_number(error) or error <= 0:
+            raise OptionError(f"a budget in error must be a number above 0, not {error!r}")
+        error = error**2  # the engine works with variances
+    return Budget(seconds, None if count == "passes" else number, number if count == "passes" else None, error)

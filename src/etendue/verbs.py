@@ -1,0 +1,541 @@
+"""What one does with étendue, as functions: render, resume, compute form factors, solve radiosity, trace particles.
+
+Each function makes a task of its arguments, and runs it here or, with ``wait=False``, in the background. The rooms that
+it needs are imported when it is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, Protocol, TypeVar, cast, overload
+
+from etendue.core import OptionError, logger, use_variant
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from etendue.engine import Checkpoint, Session, Task
+    from etendue.particles import Particles
+    from etendue.products import Callback, FormFactorResult, PathLike, RadiosityResult, Rendering
+    from etendue.products.particles import MadeMap, ParticleResult
+    from etendue.products.patches import FactorRun, SolutionRun
+    from etendue.viewer import Viewer
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class _Verb(Protocol[P, T]):
+    """A function that returns a session instead of its result if it is called with ``wait=False``."""
+
+    @overload
+    def __call__(self, *args: Any, wait: Literal[False], **kwargs: Any) -> Session[T]: ...
+    @overload
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T: ...
+
+
+def _verb(function: Callable[P, T]) -> _Verb[P, T]:
+    return cast("_Verb[P, T]", function)
+
+
+@_verb
+def render(
+    scene: Any,
+    method: str | None = None,
+    *,
+    seconds: float | None = None,
+    spp: int | None = None,
+    error: float | None = None,
+    size: tuple[int, int] | None = None,
+    sensor: int = 0,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    checkpoint: PathLike | None = None,
+    save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+    **settings: Any,
+) -> Rendering:
+    """Render ``scene`` by ``method`` and return the picture with its layers and metadata.
+
+    scene: the path of a Mitsuba XML file, a scene dictionary, a loaded ``mi.Scene`` or the name of a bundled scene.
+        ``parameters`` are the values of ``$variables`` of an XML file, ``size`` and ``sensor`` those of the picture.
+    method: by default ``auto``, or the scene's integrator if it is a method of étendue other than ``path``. (Nearly
+        every scene file for Mitsuba names ``path``.) ``settings`` are those of the method, see ``etendue methods
+        NAME``.
+    seconds, spp, error: limits, of which the first that is reached ends the run: time, camera paths per pixel, and the
+        relative standard error of the pixels. Without limits the scene's own sample count is used.
+    memory: limit in bytes on what a method stores.
+    variant: Mitsuba's; if none is given or set, a usable one is chosen.
+    callback: called with an :class:`Update` after each pass; ``False`` ends the run.
+    save, checkpoint: ``.exr`` or ``.png`` files, and a file for :func:`resume`; written at the end and, with
+        ``save_every``, at intervals of so many seconds. If a pass fails, or at Ctrl-C, the passes so far are written
+        before the error is raised.
+    cluster, workers: make the passes in the workers of a Dask scheduler (its address, or a ``distributed.Client``), or
+        in so many processes of this machine, which end with the run. See docs/cluster.md.
+    wait: if false, return a :class:`Session` at once: a thread loads the scene, renders it and calls ``callback``. The
+        session has the current picture in ``image`` and the progress in ``progress``; ``cancel()`` ends the run after
+        the current pass, ``result`` waits for the end and raises the error of the run.
+
+    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, :class:`BackendError` or
+    :class:`ClusterError`, where possible before the first pass, and :class:`engine.RunError` if a later pass fails.
+    """
+    from etendue.products import Picture, budget_of, choose_method, picture_task
+    from etendue.scene import SceneSource
+
+    product = Picture.of(save, checkpoint, save_every)
+    use_variant(variant)
+    kind = choose_method(method, scene, parameters)
+    kind.Settings.check_arguments(settings, f"method '{kind.name}'", render)
+    budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
+    source = SceneSource(scene, size, sensor, parameters, memory)
+    return _run(picture_task(source, kind, product, settings, seed, budget), callback, cluster, workers, wait)
+
+
+@_verb
+def resume(
+    checkpoint: PathLike,
+    *,
+    scene: Any = None,
+    seconds: float | None = None,
+    spp: int | None = None,
+    error: float | None = None,
+    bundles: int | None = None,
+    points: int | None = None,
+    passes: int | None = None,
+    paths: int | None = None,
+    particles: int | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+) -> Any:
+    """Continue the run of a checkpoint or of a file of particles, of any kind, and update the file.
+
+    The result is that of an uninterrupted run. ``seconds`` are those of this run; the other limits, of which the method
+    has one beside ``error``, are those of the whole. Without a budget the rest of the saved one is used. ``scene`` is
+    needed if the scene was in memory or has moved. ``save``: output files; without them those of a run on patches are
+    written again. The other arguments are those of :func:`render`. Raises :class:`CheckpointError` if the file is
+    damaged, or if the scene differs.
+    """
+    from etendue.products import saved_task
+
+    counts = {"spp": spp, "bundles": bundles, "points": points, "passes": passes, "paths": paths}
+    limits = {"seconds": seconds, "error": error, "particles": particles, **counts}
+    task, saved = saved_task(checkpoint, scene=scene, limits=limits, save=save, save_every=save_every)
+    use_variant(variant)
+    return _run(task, callback, cluster, workers, wait, saved)
+
+
+@_verb
+def compute_form_factors(
+    mesh: Any,
+    method: str = "lines",
+    *,
+    estimator: str | None = None,
+    objects: Any = None,
+    walls: Sequence[str | int] | None = None,
+    seconds: float | None = None,
+    bundles: int | None = None,
+    error: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    checkpoint: PathLike | None = None,
+    save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+    **settings: Any,
+) -> FormFactorResult:
+    """Form factors (view factors) of patches.
+
+    mesh: :class:`etendue.radiosity.Patches`, the path of a mesh file, or a Mitsuba scene in any form that
+        :func:`render` takes. Each face is a patch; faces larger than ``max_area`` are subdivided.
+    method: ``lines`` through the whole scene; ``spheres``, lines in spheres around ``objects`` and in the whole scene;
+        or ``exact``, by integrals, for surfaces that hide nothing from each other. ``settings`` are those of the
+        method, see ``etendue methods lines``.
+    estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
+        default F1, or F4 with ``spheres``.
+    objects, walls: for ``spheres``, what makes an object and which objects are walls, see
+        :func:`etendue.radiosity.find_objects`; or the name of an array of the mesh file.
+    seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
+        of form factors, averaged over patches. Without limits, 1024 bundles.
+    save: files for the form factors, ``.npz``, ``.nc`` or ``.vf``.
+    checkpoint: with it, lines are stored in a folder beside it instead of memory.
+
+    The other arguments and the errors are those of :func:`render`. If the lines cannot be evaluated, the error says
+    where they are kept.
+    """
+    from etendue.products import listed
+    from etendue.products.patches import FactorRun, without_hierarchy
+
+    run = FactorRun(
+        source=mesh,
+        method=method,
+        limits={"seconds": seconds, "bundles": bundles, "error": error},
+        max_area=max_area,
+        seed=seed,
+        parameters=parameters,
+        objects=objects,
+        walls=walls,
+        estimator=estimator,
+        outputs=listed(save),
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+        save_every=save_every,
+    )
+    without_hierarchy(run, settings.pop("hierarchy", None))
+    return _run_on_patches(run, compute_form_factors, settings, variant, callback, cluster, workers, wait)
+
+
+@_verb
+def solve_radiosity(
+    scene: Any,
+    method: str | None = None,
+    *,
+    solver: str | None = None,
+    ambient: str | None = None,
+    bounces: int | None = None,
+    sub_scenes: str | None = None,
+    objects: Any = None,
+    threshold: float | None = None,
+    least: int | None = None,
+    levels: int | None = None,
+    divide: bool = False,
+    seconds: float | None = None,
+    bundles: int | None = None,
+    points: int | None = None,
+    passes: int | None = None,
+    error: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    size: tuple[int, int] | None = None,
+    sensor: int = 0,
+    gather: int = 0,
+    spp: int = 16,
+    smooth: bool = True,
+    error_picture: bool = False,
+    lightmap: PathLike | None = None,
+    lightmap_size: int = 1024,
+    uv: PathLike | None = None,
+    checkpoint: PathLike | None = None,
+    save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+    **settings: Any,
+) -> RadiosityResult:
+    """Radiosities of the surfaces of a scene; all materials are treated as diffuse.
+
+    scene: :class:`etendue.radiosity.Patches`, or a Mitsuba scene in any form that :func:`render` takes. Each face of a
+        scene is a patch; faces larger than ``max_area`` are subdivided. For ``boxes`` also a
+        :class:`etendue.radiosity.Part`.
+    method: ``lines``, which are stored and solved by a ``solver``; ``multipath``, which exchanges light along single
+        lines and stores none; ``boxes``, multipath in boxes around objects or instances; or ``ambient``, without lines.
+        ``settings`` are those of the method, see ``etendue methods multipath``.
+    solver: of ``lines``: ``conjugate-gradient``, ``jacobi``, ``gauss-seidel``, ``southwell`` or ``direct``; by default
+        conjugate-gradient, or jacobi with ``bounces``.
+    ambient, bounces: ``classic``, ``crisp`` or ``fuzzy``, see :func:`etendue.radiosity.ambient_solution`: all light by
+        an ambient term; or, with ``bounces``, the light that is left after so many iterations of the solver.
+    sub_scenes: with an ambient solution without lines, parts of the scene in which light spreads first: ``objects``, or
+        ``boxes`` around groups of objects. See :func:`etendue.radiosity.hierarchical_ambient`.
+    objects, threshold, least, levels: for boxes and sub-scenes, what makes an object (``shapes``, ``components``,
+        ``labels`` or an array of the mesh file), and how objects are grouped, see :func:`etendue.radiosity.grouped`.
+    divide: with ``boxes`` and workers, each worker has some of the boxes with their lines, and all make a pass
+        together; otherwise each makes whole passes. The result is the same, and its ``correspondence`` lists the
+        messages.
+    seconds, bundles, points, passes, error: the first limit that is reached ends the casting. ``lines`` counts bundles
+        (1024 without limits), ``multipath`` points (4,194,304), ``boxes`` passes (16). ``error`` is the standard error
+        of the irradiance, averaged over the surface and divided by the mean irradiance.
+    save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, a page, ``.html``, and
+        pictures, ``.exr`` or ``.png``. The picture is also in the result.
+    size, sensor, gather, spp, smooth: options of pictures, see :func:`etendue.products.patches.picture`.
+    error_picture: beside a ``.png``, write its relative standard error in false colours.
+    lightmap: an ``.exr`` file, or a ``.glb``, ``.gltf`` or ``.obj`` file for the mesh with the ``.exr`` beside it; of
+        at most ``lightmap_size`` texels a side.
+    uv: texture coordinates of the lightmap: a glTF file with ``TEXCOORD_1``, or ``"scene"`` for those of the scene.
+        Without it an atlas is made.
+
+    The other arguments and the errors are those of :func:`render`.
+    """
+    from etendue.products import listed
+    from etendue.products.patches import SolutionFiles, SolutionRun, without_hierarchy
+
+    groups = {"threshold": threshold, "least": least, "levels": levels}
+    run = SolutionRun(
+        source=scene,
+        method=method,
+        limits={"seconds": seconds, "bundles": bundles, "points": points, "passes": passes, "error": error},
+        max_area=max_area,
+        seed=seed,
+        parameters=parameters,
+        objects=objects,
+        solver=solver,
+        ambient=ambient,
+        bounces=bounces,
+        sub_scenes=sub_scenes,
+        groups={name: value for name, value in groups.items() if value is not None},
+        divide=divide,
+        outputs=SolutionFiles(
+            files=listed(save),
+            size=size,
+            sensor=sensor,
+            gather=gather,
+            spp=spp,
+            smooth=smooth,
+            error_picture=error_picture,
+            lightmap=None if lightmap is None else Path(lightmap),
+            lightmap_size=lightmap_size,
+            uv=None if uv is None else str(uv),
+        ),
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+        save_every=save_every,
+    )
+    without_hierarchy(run, settings.pop("hierarchy", None))
+    if divide and (cluster, workers) == (None, None):
+        raise OptionError("boxes are divided among workers: give workers or cluster with divide")
+    return _run_on_patches(run, solve_radiosity, settings, variant, callback, cluster, workers, wait)
+
+
+@_verb
+def trace_particles(
+    scene: Any,
+    method: str = "particles",
+    *,
+    paths: int | None = None,
+    particles: int | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | None = None,
+    codec: str = "packed",
+    boxes: tuple[int, int, int] | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+    **settings: Any,
+) -> ParticleResult:
+    """Trace light paths of a scene, whose hits on surfaces are particles.
+
+    ``method``: ``particles`` traces independent paths, ``metropolis_particles`` steps of chains; ``settings`` are those
+    of the method: ``keep``, ``after``, ``specular``, ``max_bounces`` and others. ``paths`` or ``particles``
+    (approximate), and ``seconds``, limit the run; the first limit that is reached ends it. Without limits, a million
+    paths.
+
+    The result has the :class:`etendue.particles.Particles` in memory, unless ``save`` names a new file to which they
+    are written pass by pass, by a ``codec`` (see docs/particles.md); at Ctrl-C, or if a pass fails, it has the passes
+    before, and :func:`resume` continues it. ``boxes``: with workers, numbers of boxes along x, y and z into which the
+    scene is cut; each worker holds only a share of them, and paths go from worker to worker. See docs/cluster.md. The
+    other arguments and the errors are those of :func:`render`.
+    """
+    from etendue.engine import Task
+    from etendue.products import PARTICLES, budget_of, chosen
+    from etendue.products.particles import ParticleProduct
+    from etendue.scene import SceneSource
+
+    kind = chosen(method, PARTICLES, "particles")
+    kind.Settings.check_arguments(settings, f"tracing by {kind.name}", trace_particles, {"spp": "paths"})
+    budget = budget_of(kind, {"paths": paths, "seconds": seconds})
+    if particles is not None and paths is not None:
+        raise OptionError("paths and particles limit the same; give one of them")
+    if boxes is not None and (cluster, workers) == (None, None):
+        raise OptionError("a scene is divided among workers: give workers or cluster with boxes")
+    product = ParticleProduct(None if save is None else Path(save), particles, codec, boxes)
+    source = SceneSource(scene, parameters=parameters, memory=memory, merge=boxes is None)
+    use_variant(variant)
+    return _run(Task(source, kind, product, settings, seed, budget), callback, cluster, workers, wait)
+
+
+def read_particles(
+    path: PathLike, *, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None
+) -> Particles:
+    """The particles of a file, or those on ``shapes`` (names or indices) and in ``box`` ((2, 3): lower and upper
+    corner). Parts of the file without such particles are not read; for more particles than fit into memory, see
+    :meth:`etendue.particles.ParticleFile.parts`.
+
+    Raises :class:`etendue.particles.ParticleError` for a file that cannot be read, and for shapes that it does not
+    have.
+    """
+    from etendue.particles import ParticleFile
+
+    return ParticleFile(path).read(shapes, box)
+
+
+def map_particles(
+    particles: Particles | PathLike | Callable[[], Iterable[Particles]],
+    scene: Any = None,
+    kind: str = "histogram",
+    *,
+    save: PathLike | Sequence[PathLike] = (),
+    size: int = 1024,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    callback: Callable[[str], object] = lambda text: None,
+    **options: Any,
+) -> MadeMap:
+    """A map of irradiance on the surfaces of a scene, from particles in memory, in a file, or from a function that
+    opens their stream anew.
+
+    ``scene``: as for :func:`render`; for a file, by default the scene in which it was traced. ``kind``: ``histogram``,
+    ``kernel``, ``variable`` or ``knn``; ``options`` are those of :class:`etendue.products.particles.MapOptions`:
+    ``cells``, ``bandwidth``, ``rule``, ``kernel``, ``boundary``, ``k``. ``save`` names files as of
+    :func:`etendue.products.particles.write_map`, ``size`` the largest side of lightmaps in texels. ``callback``
+    receives a line of text for each pass.
+
+    The result has the map, its surfaces and the number of particles; :func:`etendue.surfaces.irradiance_at` evaluates
+    the map. Raises :class:`OptionError`, :class:`etendue.surfaces.SurfaceError`, and the errors of loading and writing.
+    """
+    from etendue.particles import Particles
+    from etendue.products import listed
+    from etendue.products.particles import FileSource, MapOptions, check_map_file, make_map, write_map
+
+    chosen = MapOptions(kind=kind, **options)  # type: ignore[arg-type]
+    files = listed(save)
+    for path in files:
+        check_map_file(path)
+    use_variant(variant)
+    source: Any = particles
+    if not isinstance(particles, Particles) and not callable(particles):
+        source = FileSource(particles)
+        scene = source.scene(scene, parameters, memory)
+    elif scene is None:
+        raise OptionError("particles in memory do not know their scene; give it as the second argument")
+    made = make_map(scene, source, chosen, callback)
+    for path in files:
+        write_map(path, made.map, made.surfaces, size=size, metadata={"particles": made.particles})
+    return made
+
+
+def view(
+    scene: Any,
+    method: str = "auto",
+    *,
+    seconds: float | None = None,
+    spp: int | None = None,
+    error: float | None = None,
+    size: tuple[int, int] | None = None,
+    sensor: int = 0,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    allow_origin: str | Sequence[str] = (),
+    address: str | None = None,
+    tev: str | None = None,
+    folder: str | Path = ".",
+    solution: str | Path | None = None,
+    **settings: Any,
+) -> Viewer:
+    """Show ``scene`` live in the browser, and in a notebook below the cell. The arguments are those of
+    :func:`etendue.render`.
+
+    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. It answers pages of this
+    machine's names; ``allow_origin`` are origins of a hub or proxy before it, such as ``https://hub.example.org``.
+    ``address`` is the address at which the reader's browser reaches a server on another machine: a URL, whose origin is
+    then allowed, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default the value of
+    the environment variable ``ETENDUE_VIEW_ADDRESS``, else the server's own address.
+
+    The session goes on in the background until ``close()``, or until the same cell of a notebook is run again. During
+    this time use no other Mitsuba or Dr.Jit code in this process, or pause the session in the page. Files that are
+    saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as ``localhost:14158``, which
+    then shows the picture and its layers, too. ``solution`` is a file of a solution of radiosity, which the 3-D view
+    then shows.
+
+    Raises :class:`OptionError` for an argument out of range, :class:`SceneError` if there is no such scene, and
+    :class:`BackendError` if tornado is not installed. If a scene cannot be loaded, the page says so, and another scene
+    can be opened there.
+    """
+    from etendue import methods
+    from etendue.products import budget_of
+    from etendue.scene import described, is_described
+    from etendue.viewer import Asked, Viewer, is_picture
+
+    kind = methods.get(method)
+    kind.Settings.check_arguments(settings, f"method '{method}'", view)
+    use_variant(variant)
+    if is_described(scene) and not is_picture(scene):
+        described(scene, logger.debug)
+    asked = Asked(
+        scene=scene,
+        method=method,
+        settings=settings,
+        budget=budget_of(kind, {"seconds": seconds, "spp": spp, "error": error}),
+        size=size,
+        sensor=sensor,
+        parameters=parameters,
+        memory=memory,
+        seed=seed,
+        folder=Path(folder).absolute(),
+        solution=None if solution is None else Path(solution).absolute(),
+    )
+    origins = (allow_origin,) if isinstance(allow_origin, str) else allow_origin
+    return Viewer(asked, host, port, tev, origins, address)
+
+
+def _run(
+    task: Task,
+    callback: Callback | None,
+    cluster: Any,
+    workers: int | None,
+    wait: bool,
+    saved: Checkpoint | None = None,
+) -> Any:
+    """Run a task, or go on with the checkpoint ``saved``: the result, or the session if ``wait`` is false."""
+    from etendue.distributed import open_cluster, opened_cluster
+    from etendue.engine import Job
+    from etendue.products import run_job, start_job
+
+    def open_job() -> Job:
+        return Job.open(task) if saved is None else Job.resume(saved, task)
+
+    if wait:
+        with opened_cluster(cluster, workers) as opened:
+            return run_job(open_job, callback, opened)
+    started = open_cluster(cluster, workers)  # before the session, so that its errors are raised here
+    return start_job(open_job, callback, started, at_end=(lambda: None) if started is None else started.close)
+
+
+def _run_on_patches(
+    run: FactorRun | SolutionRun,
+    function: Callable[..., Any],
+    settings: Mapping[str, Any],
+    variant: str | None,
+    callback: Callback | None,
+    cluster: Any,
+    workers: int | None,
+    wait: bool,
+) -> Any:
+    from etendue.products.patches import AtOnce
+
+    run.settings = {**run.settings, **settings}
+    run.check_settings(function)
+    task = run.task()
+    use_variant(variant)
+    if not isinstance(task, AtOnce):
+        return _run(task, callback, cluster, workers, wait)
+    if (cluster, workers) != (None, None) or not wait:
+        given = "wait" if not wait else "cluster and workers"
+        raise OptionError(f"method '{run.method}' makes its result at once, without passes: leave out {given}")
+    return task.make(logger.info)
