@@ -10,8 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from etendue import film, scene
-from etendue.api import render
+from etendue import film, render, scene
 
 from . import plotting
 from .measuring import PUBLIC_SCENES, Record, console
@@ -75,7 +74,7 @@ def _scene(
     out: Path,
 ) -> Record:
     problem, times = scene.load(source, size=size), marks(seconds, 7)
-    albedo = render(source, "path", samples=samples, size=size, max_depth=1, aovs=True).layers["albedo"]
+    albedo = render(source, "path", spp=samples, size=size, max_depth=1, aovs=True).layers["albedo"]
     fitted: dict[int, float] = {}
 
     def look(label: str, mark: int, image: Image) -> None:

@@ -77,7 +77,7 @@ def picture(options: dict[str, Any]) -> dict[str, Any]:
     """A picture after some seconds, written to ``out``; its samples, and what ``auto`` chose."""
     import numpy as np
 
-    from etendue.api import render
+    from etendue import render
     from etendue.core import use_variant
 
     use_variant(options["variant"])

@@ -13,8 +13,7 @@ import mitsuba as mi
 import numpy as np
 import typer
 
-from etendue import film
-from etendue.api import render
+from etendue import film, render
 from etendue.core import RELATIVE_EPSILON
 from etendue.methods.auto import FIXED
 from etendue.scene import bundled

@@ -21,8 +21,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from etendue import display, film, scene
-from etendue.api import render
+from etendue import display, film, render, scene
 from etendue.core import Result
 from etendue.display.denoising import Picture
 
@@ -295,6 +294,6 @@ def _rendered(
     problem = scene.load(case.source(name), size=case.size)
     source, settings = problem.scene, {"max_depth": problem.max_depth} | dict(settings)
     if warm:
-        render(source, method, samples=2, size=case.size, seed=seed, **settings)
-    made: Result = render(source, method, seconds=seconds, samples=samples, size=case.size, seed=seed, **settings)
+        render(source, method, spp=2, size=case.size, seed=seed, **settings)
+    made: Result = render(source, method, seconds=seconds, spp=samples, size=case.size, seed=seed, **settings)
     return made

@@ -154,7 +154,7 @@ def _pictures(problem: Problem, samples: int, seeds: int, settings: dict[str, st
     """One picture a seed, (height, width)."""
     if settings is None:
         for seed in range(seeds):
-            yield picture(problem, seed, samples=samples, part=samples)[0][..., 0]
+            yield picture(problem, seed, spp=samples, part=samples)[0][..., 0]
         return
     method = methods.get("path")
     path = method(method.Settings(max_depth=1, samples_per_pass=samples, **settings))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from etendue import film
-from etendue.api import render
+from etendue import film, render
 
 from .choice import scaled_size
 from .measuring import Record, console
@@ -29,14 +28,13 @@ def measure(
     for name in names:
         size = scaled_size(name, pixels)
         method, settings = REFERENCES.get(name, ("bpt", {}))
-        reference = render(name, method, samples=_REFERENCE, size=size, seed=1000, **settings).image
+        reference = render(name, method, spp=_REFERENCE, size=size, seed=1000, **settings).image
         cells, row = [], []
         for kind in methods:
             plain, calm, light = [], [], []
             for seed in range(seeds):
                 images = [
-                    render(name, kind, samples=_SAMPLES, size=size, seed=seed, reweight=on).image
-                    for on in (False, True)
+                    render(name, kind, spp=_SAMPLES, size=size, seed=seed, reweight=on).image for on in (False, True)
                 ]
                 plain.append(film.relative_mse(images[0], reference))
                 calm.append(film.relative_mse(images[1], reference))

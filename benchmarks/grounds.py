@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue import film, scene
-from etendue.api import render
+from etendue import film, render, scene
 
 from .measuring import Record, console, verdict
 from .mitsuba_pictures import picture
@@ -34,13 +33,13 @@ def lamps(methods: Methods = "path,bpt,vcm,guided,auto", seeds: Seeds = 3) -> Re
     )
     for width in _WALLS:
         problem = scene.load(_wall(width), size=_SIZE)
-        reference, _, _ = picture(problem, 1000, samples=_REFERENCE, part=_REFERENCE // 4)
+        reference, _, _ = picture(problem, 1000, spp=_REFERENCE, part=_REFERENCE // 4)
         errors = [
-            film.relative_mse(picture(problem, s, samples=_SAMPLES, part=_SAMPLES)[0], reference) for s in range(seeds)
+            film.relative_mse(picture(problem, s, spp=_SAMPLES, part=_SAMPLES)[0], reference) for s in range(seeds)
         ]
         mitsuba, ratios = np.mean(errors), []
         for method in methods:
-            ours = [render(problem.scene, method, samples=_SAMPLES, seed=s, max_depth=3).image for s in range(seeds)]
+            ours = [render(problem.scene, method, spp=_SAMPLES, seed=s, max_depth=3).image for s in range(seeds)]
             ratios.append(float(np.mean([film.relative_mse(image, reference) for image in ours]) / mitsuba))
         record.add(f"{width}", f"{mitsuba:.5f}", *(f"{r:.2f}" for r in ratios), verdict(max(ratios), LAMP_BAR))
         console.print(f"wall {width}: {ratios}", style="dim")
@@ -81,7 +80,7 @@ def merging(methods: Methods = "vcm,auto", seeds: Seeds = 3) -> Record:
 def _blocks(loaded: Any, method: str, samples: int, seeds: range) -> tuple[NDArray[Any], NDArray[Any]]:
     """Mean and standard error over the seeds of blocks of 8x8 pixels, (rows, columns, 3)."""
     rows, columns = _SIZE[1] // 8, _SIZE[0] // 8
-    images = np.array([render(loaded, method, samples=samples, seed=seed, max_depth=8).image for seed in seeds])
+    images = np.array([render(loaded, method, spp=samples, seed=seed, max_depth=8).image for seed in seeds])
     blocks = images.astype(np.float64).reshape(len(seeds), rows, 8, columns, 8, 3).mean((2, 4))
     return blocks.mean(0), blocks.std(0, ddof=1) / len(seeds) ** 0.5
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from etendue import film, scene
-from etendue.api import render
+from etendue import film, render, scene
 from etendue.cli.options import parse_pairs
 
 from .choice import scaled_size

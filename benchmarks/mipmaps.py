@@ -31,7 +31,7 @@ def measure(
     record = Record(
         "mipmap beside bitmap: relMSE of a speckled floor up to the horizon by path", ("", *_KINDS, "ratio")
     )
-    truth = render(_floor("bitmap"), "path", samples=reference, size=_SIZE, seed=99).image
+    truth = render(_floor("bitmap"), "path", spp=reference, size=_SIZE, seed=99).image
     for count in samples:
         errors = [
             float(np.mean([film.relative_mse(_picture(kind, count, seed), truth) for seed in range(seeds)]))
@@ -53,7 +53,7 @@ def measure(
 
 
 def _picture(kind: str, samples: int, seed: int) -> Any:
-    return render(_floor(kind), "path", samples=samples, size=_SIZE, seed=seed).image
+    return render(_floor(kind), "path", spp=samples, size=_SIZE, seed=seed).image
 
 
 def _floor(kind: str) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def _problem(name: str, pixels: int, kind: str | None = None) -> Problem:
 
 def _by_mitsuba(problem: Problem, spp: int, seed: int) -> np.ndarray:
     """A picture by Mitsuba, in parts that fit its sampler."""
-    return picture(problem, seed, samples=spp, part=spp // -(-spp // 256))[0]
+    return picture(problem, seed, spp=spp, part=spp // -(-spp // 256))[0]
 
 
 def _by_us(problem: Problem, spp: int, seed: int, sampler: str) -> np.ndarray:

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from etendue import film
-from etendue.api import render
+from etendue import film, render
 from etendue.cli.options import parse_pairs, settings_by_method
 from etendue.scene import bundled
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from etendue import film
-from etendue.api import render
+from etendue import film, render
 from etendue.core import Result
 
 from .measuring import Record, console

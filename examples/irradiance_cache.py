@@ -86,7 +86,7 @@ def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
     def indirect(seed: int) -> Any:
         """All light but that of one bounce: paths of all lengths minus those of up to two edges."""
         depths = [
-            etendue.render(scene, "path", samples=samples, size=(size, size), seed=seed, max_depth=depth).image
+            etendue.render(scene, "path", spp=samples, size=(size, size), seed=seed, max_depth=depth).image
             for depth in (BOUNCES, 2)
         ]
         return depths[0].astype(float) - depths[1]

@@ -62,7 +62,7 @@ class Occlusion(ImageMethod):
 def run(scene: Any, size: tuple[int, int], samples: int, **settings: Any) -> np.ndarray:
     """The picture (height, width, 3)."""
     etendue.register(Occlusion)
-    return etendue.render(scene, "occlusion", size=size, samples=samples, **settings).image
+    return etendue.render(scene, "occlusion", size=size, spp=samples, **settings).image
 
 
 def main(folder: str = ".") -> None:

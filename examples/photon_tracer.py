@@ -136,11 +136,11 @@ def run(
     together = Samples(np.concatenate([store.positions for store in stores]), weights, mass=float(weights.sum()))
     smooth = BinnedKernel(together, 0.016, "epanechnikov", FLOOR, "reflect")
     mapped = light.picture(radiance(light, smooth), (size, size), samples=16, seed=50)
-    picture = etendue.render(light.scene, "path", samples=samples, size=(size, size), max_depth=EDGES).image
+    picture = etendue.render(light.scene, "path", spp=samples, size=(size, size), max_depth=EDGES).image
 
     scene, size = mi.load_dict(ring_scene(above=True)), 4 * squares
     above = [
-        etendue.render(scene, "path", samples=samples, size=(size, size), seed=n, max_depth=EDGES).image
+        etendue.render(scene, "path", spp=samples, size=(size, size), seed=n, max_depth=EDGES).image
         for n in range(passes)
     ]
     # The radiance of a diffuse floor is its irradiance times reflectance / pi. Up in the picture is z, left is x.

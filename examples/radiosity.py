@@ -168,7 +168,7 @@ def run(size: int = 160, divisions: Any = (3, 9), by: str = "quasimontecarlo", s
         found["sums"].append(factors.sum(axis=1))
         seen = np.concatenate([patch_of(patches, part) for part in np.array_split(hit, 16)])
         found["pictures"].append((solve(factors, patches) / math.pi)[seen].reshape(size, size, 3))
-    found["path"] = etendue.render(scene, "path", samples=256, size=(size, size), max_depth=40).image
+    found["path"] = etendue.render(scene, "path", spp=256, size=(size, size), max_depth=40).image
     return found
 
 

@@ -120,7 +120,7 @@ def run(size: int = 192, samples: int = 32, passes: int = 6, learning: int = 1_0
     learned = Vegas(GROUPS, iterations=8, warm_up=2).integrate(paths.dot(LUMINANCE), learning)
     density = without_film(learned.details["density"])
     rendered = [
-        etendue.render(box, "path", samples=4 * samples, size=(size, size), seed=n, max_depth=BOUNCES).image
+        etendue.render(box, "path", spp=4 * samples, size=(size, size), seed=n, max_depth=BOUNCES).image
         for n in range(passes)
     ]
     return {

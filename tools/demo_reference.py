@@ -39,7 +39,7 @@ def main() -> None:
     if arguments.picture:
         image = film.read_image(arguments.picture)
     else:
-        image = etendue.render("caustics", "vcm", samples=arguments.samples, seed=4242, **SETTINGS).image
+        image = etendue.render("caustics", "vcm", spp=arguments.samples, seed=4242, **SETTINGS).image
     TARGET.parent.mkdir(exist_ok=True)
     channels = {"RGB": np.ascontiguousarray(image[..., :3]).astype(np.float16)}
     header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}

@@ -29,7 +29,7 @@ def pictures() -> Iterator[tuple[str, Any]]:
 
     for name in table():
         for scene in ("cornell-glass", "skylight"):
-            made = etendue.render(scene, name, samples=8, size=(20, 15), seed=3, samples_per_pass=4)
+            made = etendue.render(scene, name, spp=8, size=(20, 15), seed=3, samples_per_pass=4)
             for layer, values in made.layers.items():
                 yield f"{name} {scene} {layer}", values
 

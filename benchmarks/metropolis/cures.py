@@ -11,8 +11,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from etendue import film, methods
-from etendue.api import render
+from etendue import film, methods, render
 from etendue.core import Measurement, OptionError, Replica
 from etendue.methods import FilmMetropolis
 from etendue.scene import bundled_scene, load
@@ -96,7 +95,7 @@ def reference_of(name: str, size: tuple[int, int], seconds: float, out: Path) ->
 
 def _lights(name: str, size: tuple[int, int]) -> Array:
     """Pixels in or next to which lights are seen, (height, width)."""
-    seen = render(boxed(name), "path", size=size, samples=_PILOT, max_depth=1).image.sum(axis=2) > 0.0
+    seen = render(boxed(name), "path", size=size, spp=_PILOT, max_depth=1).image.sum(axis=2) > 0.0
     height, width = seen.shape
     padded = np.pad(seen, 1)
     return np.any([padded[i : i + height, j : j + width] for i in range(3) for j in range(3)], axis=0)

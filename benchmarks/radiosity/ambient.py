@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from etendue.jobs import picture
 
 from etendue.core import Array
 from etendue.display import tonemap, write_png
-from etendue.jobs import picture
 from etendue.points import OwenSobol
 from etendue.radiosity import (
     AMBIENT_TERMS,
@@ -163,7 +163,7 @@ def _relative(patches: Patches, found: Array, exact: Array) -> float:
 def _strip(path: Path, shown: Shown, solutions: list[Solution], size: tuple[int, int]) -> None:
     """Pictures side by side, with the exposure of the last."""
     scene = shown.mitsuba(size)
-    images = [picture(solution, scene, samples=64).image for solution in solutions]
+    images = [picture(solution, scene, spp=64).image for solution in solutions]
     white = np.percentile(images[-1].mean(axis=2), 97) / 0.9
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, np.concatenate([tonemap(image / white) for image in images], axis=1))

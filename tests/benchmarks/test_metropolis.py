@@ -26,7 +26,7 @@ def test_a_table_of_cures(tmp_path, monkeypatch):
     leave larger errors elsewhere than those that paint the lights later."""
     cures = importlib.import_module("benchmarks.metropolis.cures")
     # A reference that does not depend on the clock.
-    halves = [render(cures.boxed("cornell-box"), "bpt", seed=s, size=(16, 16), samples=512).image for s in (7, 8)]
+    halves = [render(cures.boxed("cornell-box"), "bpt", seed=s, size=(16, 16), spp=512).image for s in (7, 8)]
     np.save(tmp_path / "cures-cornell-box-16x16.npy", np.stack(halves))
     words = ["cures", "--scenes", "cornell-box", "--size", "16x16", "--steps", "128", "--seeds", "2"]
     words += ["--out", str(tmp_path), "--record"]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from etendue.jobs import picture
 from support.patches import box, joined
 
 from etendue.cli.main import main
-from etendue.jobs import picture
 from etendue.radiosity import ABuffer, read_solution, save_solution, scene_patches, solve
 from etendue.surfaces import SurfaceError
 
@@ -124,5 +124,5 @@ def test_a_picture_of_another_scene_in_python():
 def test_a_picture_of_patches_that_are_not_flat():
     """Whole shapes, whose normals vanish in the mean."""
     patches = scene_patches("scene.xml", per="shape")
-    made = picture(solve(patches, ABuffer(patches).cast(16)), "scene.xml", size=(8, 6), samples=1)
+    made = picture(solve(patches, ABuffer(patches).cast(16)), "scene.xml", size=(8, 6), spp=1)
     assert made.image.min() > 0

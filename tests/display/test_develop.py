@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from etendue.api import render
+from etendue import render
 from etendue.cli.main import main
 from etendue.core import BackendError, OptionError, Result
 from etendue.display import auto_exposure, develop, tonemap, write_png
@@ -433,7 +433,7 @@ def test_command_errors(words, message, tmp_path, capsys, monkeypatch):
 
 
 def test_pictures_of_a_run_take_a_tone_and_an_exposure(tmp_path):
-    made = render("cornell-box", "path", size=(8, 6), samples=2)
+    made = render("cornell-box", "path", size=(8, 6), spp=2)
     made.save(tmp_path / "a.png", tone="agx", exposure=1.0)
     expected = read_back(tmp_path, tonemap(made.image, 1.0, "agx"))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)

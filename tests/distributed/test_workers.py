@@ -11,12 +11,12 @@ import time
 
 import numpy as np
 import pytest
+from etendue.jobs import Outputs, PictureWork, run_work, start_work
 
 import etendue
 from etendue.core import ClusterError, SceneError
 from etendue.distributed import Cluster, DaskPool, ProcessPool
 from etendue.engine import Budget, Checkpoint, Job, Replicated, Task
-from etendue.jobs import Outputs, PictureWork, run_work, start_work
 from etendue.methods import get
 
 SMALL = {"scene": "caustics", "size": (24, 16)}
@@ -124,9 +124,9 @@ def test_what_a_session_has_opened_is_closed_also_if_its_work_fails():
 def test_sessions_have_workers_of_their_own(alone):
     pytest.importorskip("distributed")
     options = {"size": SMALL["size"], "samples_per_pass": 1, "seed": 3}
-    made = etendue.start(SMALL["scene"], "path", samples=PASSES, workers=1, **options).result
+    made = etendue.render(SMALL["scene"], "path", spp=PASSES, workers=1, **options, wait=False).result
     close(made.image, alone.image)
-    solved = etendue.start_radiosity("cornell-box", bundles=8, workers=1).result
+    solved = etendue.solve_radiosity("cornell-box", bundles=8, workers=1, wait=False).result
     here = etendue.solve_radiosity("cornell-box", bundles=8)
     np.testing.assert_allclose(solved.solution.radiosity, here.solution.radiosity, rtol=1e-5)
 
@@ -172,7 +172,7 @@ def test_nothing_answers_at_an_address(monkeypatch):
     with pytest.raises(ClusterError, match=r"'tls://127\.0\.0\.1:9' needs certificates: name them in .*yaml"):
         DaskPool("tls://127.0.0.1:9")
     with pytest.raises(ClusterError, match=r"no scheduler answers at 'tcp://127\.0\.0\.1:9'"):
-        etendue.render("caustics", "path", samples=1, cluster="tcp://127.0.0.1:9")
+        etendue.render("caustics", "path", spp=1, cluster="tcp://127.0.0.1:9")
 
 
 @pytest.mark.slow

@@ -122,7 +122,7 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     code = code.replace("samples=1 << 21", "samples=1 << 17")
     code = code.replace("session.wait(5)", "while not session.progress.samples:\n    session.wait(0.1)")
     if "picture.exr" in code:
-        made = api.render("scene.xml", "path", samples=2, save="picture.exr")
+        made = api.render("scene.xml", "path", spp=2, save="picture.exr")
         made.save("reference.exr")
     exec(compile(code, relative(page), "exec"), {"__name__": "example"})
 

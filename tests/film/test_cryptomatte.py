@@ -114,14 +114,14 @@ def test_the_largest_of_more_shapes_than_are_kept():
 
 def test_a_loaded_scene_keeps_its_shapes():
     loaded = load("cornell-box", size=SIZE, change=unmerged).scene
-    made = etendue.render(loaded, "path", samples=1, max_depth=2, cryptomatte=True)
+    made = etendue.render(loaded, "path", spp=1, max_depth=2, cryptomatte=True)
     (manifest,) = (json.loads(text) for key, text in made.metadata.items() if key.endswith("/manifest"))
     assert "small-box" in manifest
 
 
 def test_a_picture_with_its_matte(tmp_path):
-    made = etendue.render("cornell-box", "path", samples=1, size=SIZE, max_depth=2, cryptomatte=True, components=True)
-    plain = etendue.render("cornell-box", "path", samples=1, size=SIZE, max_depth=2, components=True)
+    made = etendue.render("cornell-box", "path", spp=1, size=SIZE, max_depth=2, cryptomatte=True, components=True)
+    plain = etendue.render("cornell-box", "path", spp=1, size=SIZE, max_depth=2, components=True)
     np.testing.assert_array_equal(made.image, plain.image)
     (manifest,) = (json.loads(text) for key, text in made.metadata.items() if key.endswith("/manifest"))
     assert "small-box" in manifest and {f"CryptoObject0{k}" for k in range(3)} <= set(made.layers)

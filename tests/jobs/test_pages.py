@@ -12,14 +12,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from etendue.jobs import FormFactorResult, HierarchyResult, ParticleResult, RadiosityResult, Rendering
+from etendue.jobs.pages.notebook import LiveProgress
+from etendue.jobs.pages.solution import Making, render_solution_page
 from PIL import Image
 
 import etendue
 from etendue.conformance import Finding, Report
 from etendue.core import InNotebooks, Progress, Result
-from etendue.jobs import FormFactorResult, HierarchyResult, ParticleResult, RadiosityResult, Rendering
-from etendue.jobs.pages.notebook import LiveProgress
-from etendue.jobs.pages.solution import Making, render_solution_page
 from etendue.particles import Particles
 from etendue.radiosity import FormFactors, Patches, Solution, box
 
@@ -268,7 +268,7 @@ def test_a_run_without_a_pass_says_so(notebook, monkeypatch):
 
     monkeypatch.setattr(etendue.engine.Runner, "run", fails)
     with pytest.raises(etendue.OptionError):
-        etendue.render("cornell-box", "path", samples=1, size=(8, 8))
+        etendue.render("cornell-box", "path", spp=1, size=(8, 8))
     assert "failed before the first pass was done" in notebook[-1]
 
 

@@ -36,7 +36,7 @@ def test_parameters_reach_the_scene(tmp_path):
 
 def test_the_result_is_that_of_a_call(tmp_path):
     patches = cube(2, **LIT)
-    session = etendue.start_radiosity(patches, bundles=64, seed=5, save=tmp_path / "s.npz")
+    session = etendue.solve_radiosity(patches, bundles=64, seed=5, save=tmp_path / "s.npz", wait=False)
     result = session.result
     assert not session.running and session.prepared and session.image is None
     assert (session.progress.samples, session.progress.fraction) == (64, 1.0)
@@ -52,7 +52,7 @@ def test_the_result_is_that_of_a_call(tmp_path):
 
 def test_cancelling_leaves_what_was_cast_solved_and_saved(tmp_path):
     kept, written = tmp_path / "lines.checkpoint", tmp_path / "s.npz"
-    session = etendue.start_radiosity(cube(2, **LIT), seconds=300, seed=2, checkpoint=kept, save=written)
+    session = etendue.solve_radiosity(cube(2, **LIT), seconds=300, seed=2, checkpoint=kept, save=written, wait=False)
     while session.progress.samples < 16:
         assert session.running
         time.sleep(0.005)
@@ -61,7 +61,7 @@ def test_cancelling_leaves_what_was_cast_solved_and_saved(tmp_path):
     assert not session.running
     result = session.result
     assert result.stopped_by == "cancel" and result.bundles >= 16 and written.exists()
-    more = etendue.start_radiosity(cube(2, **LIT), seed=2, resume=kept, bundles=result.bundles + 8).result
+    more = etendue.solve_radiosity(cube(2, **LIT), seed=2, resume=kept, bundles=result.bundles + 8, wait=False).result
     whole = etendue.solve_radiosity(cube(2, **LIT), seed=2, bundles=result.bundles + 8)
     np.testing.assert_array_equal(more.solution.radiosity, whole.solution.radiosity)
 
@@ -103,7 +103,7 @@ def test_a_session_that_ends_before_the_first_lines(monkeypatch):
         prepared.wait()
 
     monkeypatch.setattr(LineCasting, "prepare", slowly)
-    session = etendue.start_radiosity(cube(1, **LIT | {"emission": 1.0}), bundles=64)
+    session = etendue.solve_radiosity(cube(1, **LIT | {"emission": 1.0}), bundles=64, wait=False)
     session.request_stop()
     prepared.set()
     with pytest.raises(Cancelled):
@@ -113,12 +113,12 @@ def test_a_session_that_ends_before_the_first_lines(monkeypatch):
 def test_options_are_checked_before_it_starts(tmp_path):
     """In the thread that calls; what takes the source is said by the session."""
     for call, text in (
-        (lambda: etendue.start_radiosity(cube(1, emission=1.0), "jacoby"), "did you mean 'jacobi'"),
-        (lambda: etendue.start_radiosity("cornell-box", bundles=0), "in bundles must be a whole number"),
+        (lambda: etendue.solve_radiosity(cube(1, emission=1.0), "jacoby", wait=False), "did you mean 'jacobi'"),
+        (lambda: etendue.solve_radiosity("cornell-box", bundles=0, wait=False), "in bundles must be a whole number"),
         (lambda: etendue.start_form_factors(cube(1), save=tmp_path / "a.csv"), "not known"),
         (lambda: etendue.start_form_factors({"type": "scene"}, hierarchy="thing"), "or by an array of a mesh file"),
     ):
         with pytest.raises(OptionError, match=text):
             call()
     with pytest.raises(SceneError, match="has no light"):
-        etendue.start_radiosity(cube(1)).wait()
+        etendue.solve_radiosity(cube(1), wait=False).wait()

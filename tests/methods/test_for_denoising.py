@@ -57,7 +57,7 @@ def test_what_contradicts_the_switch_is_an_error(method, values, message):
 @pytest.mark.parametrize(("method", "samples", "passes"), [("path", 16, 8), ("bpt", 3, 3), ("guided", 16, 16)])
 def test_several_passes_tell_the_variance(method, samples, passes):
     """One pass could have all of the samples of so small a picture."""
-    made = etendue.render("cornell-box", method, samples=samples, size=(24, 18), max_depth=3, for_denoising=True)
+    made = etendue.render("cornell-box", method, spp=samples, size=(24, 18), max_depth=3, for_denoising=True)
     assert (made.metadata["passes"], made.metadata["samples"]) == (passes, samples)
     wanted = {"albedo", "normal", "depth", *COMPONENTS, *(variance_of(name) for name in ("image", *COMPONENTS))}
     assert wanted <= made.layers.keys()
@@ -78,8 +78,8 @@ def room() -> dict[str, Any]:
 def pictures(mirror: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """(layers after 16 samples, converged picture)."""
     scene, common = room() if mirror else "cornell-box", {"size": SIZE, "max_depth": 6}
-    made = etendue.render(scene, "path", samples=16, seed=1, for_denoising=True, **common)
-    truth = etendue.render(scene, "path", samples=2048, seed=2, reconstruction="independent", **common)
+    made = etendue.render(scene, "path", spp=16, seed=1, for_denoising=True, **common)
+    truth = etendue.render(scene, "path", spp=2048, seed=2, reconstruction="independent", **common)
     return made.layers, truth.image
 
 

@@ -218,7 +218,7 @@ def test_small_budgets_are_no_noisier_than_path():
     variance for nine seeds in threes: 0.93, 0.93, 0.94; with one share of the guide for all cells, 1.25 to 1.28."""
 
     def noise(method: str) -> float:
-        made = [etendue.render("cornell-box", method, samples=64, size=(64, 64), seed=seed).image for seed in (1, 2, 3)]
+        made = [etendue.render("cornell-box", method, spp=64, size=(64, 64), seed=seed).image for seed in (1, 2, 3)]
         return float((np.var(made, axis=0, ddof=1) / (np.mean(made, axis=0) ** 2 + 0.01)).mean())
 
     assert noise("guided") < noise("path")

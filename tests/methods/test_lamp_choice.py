@@ -50,7 +50,7 @@ def reference() -> tuple[np.ndarray, float]:
 @pytest.mark.parametrize("method", METHODS)
 def test_a_lamp_beside_a_sky_is_found_whatever_the_size_of_the_scene(method, half):
     converged, mitsubas = reference()
-    picture = etendue.render(mi.load_dict(wall(half)), method, samples=64, max_depth=3).image
+    picture = etendue.render(mi.load_dict(wall(half)), method, spp=64, max_depth=3).image
     assert error(np.asarray(picture)[..., :3], converged) < 1.2 * mitsubas
 
 
@@ -66,7 +66,7 @@ def yard() -> tuple[np.ndarray, float]:
 def test_near_lamps_of_a_yard_are_found(method):
     """Ten lamps, a sky and a sun, which Mitsuba picks evenly."""
     converged, mitsubas = yard()
-    picture = etendue.render(load("yard", size=(32, 24)).scene, method, samples=64, max_depth=3).image
+    picture = etendue.render(load("yard", size=(32, 24)).scene, method, spp=64, max_depth=3).image
     assert error(np.asarray(picture)[..., :3], converged) < 0.5 * mitsubas
 
 
@@ -160,7 +160,7 @@ def test_lamps_that_change_need_no_other_kernels(method):
         values.update()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            etendue.render(scene, method, samples=1, max_depth=3)
+            etendue.render(scene, method, spp=1, max_depth=3)
             kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
         hashes.append({one["hash"] for one in kernels if one["operation_count"] > 500})
     assert hashes[0] and all(found == hashes[0] for found in hashes[1:])

@@ -40,7 +40,7 @@ def test_mitsuba_s_references(file: Path, method: str) -> None:
     if method == "own":
         method = "light" if integrator == "ptracer" else "path"
     try:
-        result = etendue.render(str(file), method, samples=samples, seed=1, **depth)
+        result = etendue.render(str(file), method, spp=samples, seed=1, **depth)
     except SceneError as error:
         if "file does not exist" in str(error):
             pytest.skip(str(error))

@@ -38,7 +38,7 @@ def test_a_registered_method_is_a_method(own, tmp_path):
     options = {"samples": 4, "size": (8, 8), "seed": 3, "samples_per_pass": 2}
     mine = etendue.render("cornell-box", "mine", checkpoint=tmp_path / "a.checkpoint", **options)
     np.testing.assert_array_equal(mine.image, etendue.render("cornell-box", "path", **options).image)
-    assert etendue.resume(tmp_path / "a.checkpoint", samples=6).metadata["method"] == "mine"
+    assert etendue.resume(tmp_path / "a.checkpoint", spp=6).metadata["method"] == "mine"
 
 
 def test_a_registered_method_is_a_mitsuba_integrator(own):
@@ -47,7 +47,7 @@ def test_a_registered_method_is_a_mitsuba_integrator(own):
     scene["integrator"] = {"type": "mine", "max_depth": 3}
     scene["sensor"]["film"] |= {"width": 8, "height": 8}
     assert np.array(mi.render(mi.load_dict(scene), spp=4)).mean() > 0.0
-    assert etendue.render(scene, samples=2).metadata["method"] == "mine"
+    assert etendue.render(scene, spp=2).metadata["method"] == "mine"
 
 
 def test_registered_again(own):

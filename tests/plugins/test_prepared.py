@@ -256,7 +256,7 @@ def test_lamps_that_are_switched_off_leave_a_black_picture(name):
         params[key] = 0.0 * params[key]
     params.update()
     assert picture(scene).shape == before.shape and not picture(scene).any()
-    assert not etendue.render(scene, name, samples=1).image.any() if name == "bpt" else True
+    assert not etendue.render(scene, name, spp=1).image.any() if name == "bpt" else True
     for key, value in lit.items():
         params[key] = value
     params.update()

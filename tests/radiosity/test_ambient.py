@@ -455,7 +455,7 @@ def test_options_that_do_not_go_together(options, message):
 
 def test_no_session_for_what_is_there_at_once():
     with pytest.raises(etendue.OptionError, match="take solve_radiosity"):
-        etendue.start_radiosity(cube(1, emission=1.0), ambient="fuzzy")
+        etendue.solve_radiosity(cube(1, emission=1.0), ambient="fuzzy", wait=False)
 
 
 def test_after_direct_light():

@@ -5,11 +5,11 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from etendue.jobs import picture
 from support.patches import box, joined
 from support.scenes import camera, diffuse, mesh, rgb, transform
 
 from etendue.core import EtendueError, OptionError, Replica, SceneError
-from etendue.jobs import picture
 from etendue.methods import Path
 from etendue.points import OwenSobol
 from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, SurfaceError, scene_patches, solve
@@ -51,7 +51,7 @@ def test_patches_as_they_are_and_smooth():
     flat = picture(solved(patches, values), scene, smooth=False)
     np.testing.assert_allclose(flat.image.reshape(16, 3), 0.5 * values[nearest] / np.pi, rtol=1e-5)
     linear = solved(patches, np.stack([2 + patches.centres[:, 0], 2 + patches.centres[:, 1], np.full(16, 2)], axis=1))
-    smooth = picture(linear, scene, size=(12, 12), samples=64)
+    smooth = picture(linear, scene, size=(12, 12), spp=64)
     inner = slice(3, 9)
     seen = hits(scene, (12, 12))[inner, inner]
     expected = 0.5 * np.stack([2 + seen[..., 0], 2 + seen[..., 1], np.full((6, 6), 2)], axis=2) / np.pi
@@ -76,7 +76,7 @@ def test_curved_shapes_have_no_holes(shape):
     sky = {"type": "constant", "radiance": rgb(0.1, 0.2, 0.3)}
     scene = mi.load_dict({"type": "scene", "sensor": above(), "sky": sky, "shape": shape | {"bsdf": GREY}})
     patches = scene_patches(scene)
-    image = picture(solved(patches, 2.0), scene, size=(64, 64), samples=1).image
+    image = picture(solved(patches, 2.0), scene, size=(64, 64), spp=1).image
     values = np.unique(np.round(image.reshape(-1, 3), 5), axis=0)
     np.testing.assert_allclose(values, [[0.1, 0.2, 0.3], np.full(3, 1 / np.pi)], atol=1e-5)
 
@@ -106,7 +106,7 @@ def test_each_side_of_a_sheet(kind, front):
         scene = mi.load_dict({"type": "scene", "sensor": view, "wall": mesh(points, faces, GREY)})
     patches = scene_patches(scene)
     upward = (patches.normals[:, 2] > 0)[:, None]
-    image = picture(solved(patches, np.where(upward, 1.0, 3.0)), scene, samples=1).image
+    image = picture(solved(patches, np.where(upward, 1.0, 3.0)), scene, spp=1).image
     if kind == "two faces":  # the scene's rays may meet the face that looks away, whose own side is what they see
         assert set(np.round(2 * np.pi * np.unique(image), 4)) <= {1.0, 3.0}
     np.testing.assert_allclose(image, 0.5 * (1.0 if front else 3.0) / np.pi, rtol=1e-5)
@@ -198,8 +198,8 @@ def test_pictures_agree_with_path():
     scale = expected.mean()
     dark = expected.max(axis=2) < 5  # not the lamp
     gathered = picture(solution, problem, gather=256, irradiance_error=segments.gather_error(solution.radiosity))
-    plain = picture(solution, problem, samples=256)
-    flat = picture(solution, problem, samples=256, smooth=False)
+    plain = picture(solution, problem, spp=256)
+    flat = picture(solution, problem, spp=256, smooth=False)
     for made, whole, single in ((gathered, 0.006, 0.02), (plain, 0.015, 0.06), (flat, 0.015, 0.06)):
         difference = (made.image - expected)[dark]
         assert abs(difference.mean()) < whole * scale

@@ -6,10 +6,10 @@ import meshio
 import mitsuba as mi
 import numpy as np
 import pytest
+from etendue.jobs import picture
 from support.patches import room
 from support.scenes import diffuse, rgb
 
-from etendue.jobs import picture
 from etendue.points import OwenSobol
 from etendue.radiosity import (
     ABuffer,
@@ -86,7 +86,7 @@ def test_a_scene_far_from_the_origin_has_the_same_patches_and_pictures():
         patches = scene_patches(scene, max_area=0.2)
         solution = solved(patches, 1.5 + patches.centres - away)
         texture = lightmap(solution, *atlas(patches, 64))
-        seen = picture(solution, scene, samples=16).image
+        seen = picture(solution, scene, spp=16).image
         assert np.isfinite(seen).all() and seen.mean() > 0.1
         # A texel at the edge of an island may be lost by rounding: of the texture, how much it covers and its mean.
         covered = texture.values[texture.covered]

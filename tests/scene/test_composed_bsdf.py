@@ -62,7 +62,7 @@ def test_a_constant_is_a_diffuse_material(method):
         description["white"] = white
         scene = mi.load_dict(description)
         return np.array(
-            [etendue.render(scene, method, samples=16, size=(24, 24), seed=n, max_depth=4).image for n in range(6)],
+            [etendue.render(scene, method, spp=16, size=(24, 24), seed=n, max_depth=4).image for n in range(6)],
             dtype=float,
         )
 

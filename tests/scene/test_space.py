@@ -238,9 +238,9 @@ def test_layers_and_resuming_in_the_units_of_the_scene(tmp_path):
         <emitter type="constant"/><shape type="rectangle"><transform name="to_world"><scale value="{4 * size}"/>
         <translate x="{1000 * size}"/></transform></shape>""",
     )
-    whole = render(path, "path", samples=8, samples_per_pass=4, aovs=True)
-    render(path, "path", samples=4, samples_per_pass=4, aovs=True, checkpoint=tmp_path / "half.ckpt")
-    resumed = resume(tmp_path / "half.ckpt", samples=8)
+    whole = render(path, "path", spp=8, samples_per_pass=4, aovs=True)
+    render(path, "path", spp=4, samples_per_pass=4, aovs=True, checkpoint=tmp_path / "half.ckpt")
+    resumed = resume(tmp_path / "half.ckpt", spp=8)
     assert np.array_equal(resumed.image, whole.image)
     depth = whole.layers["depth"]
     assert depth.min() == pytest.approx(2.9 * size, rel=0.01) and depth.max() < 3.3 * size  # from the near plane on

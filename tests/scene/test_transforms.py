@@ -134,7 +134,7 @@ def test_the_scale_of_an_environment_changes_no_picture(tmp_path, caplog):
         with caplog.at_level(logging.WARNING, "etendue"):
             caplog.clear()
             for method in ("path", "bpt"):
-                result = etendue.render(scene, method=method, size=(8, 8), samples=16, max_depth=3, seed=1)
+                result = etendue.render(scene, method=method, size=(8, 8), spp=16, max_depth=3, seed=1)
                 pictures.setdefault(method, []).append(np.asarray(result.image))
         assert len([r for r in caplog.records if "'it' of type 'envmap' has a scale" in r.message]) == (scale != 1.0)
     for found in pictures.values():

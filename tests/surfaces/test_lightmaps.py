@@ -5,12 +5,12 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from etendue.jobs import picture
 from support.patches import box, cube, joined, square
 from support.scenes import camera, diffuse
 
 from etendue.core import BackendError, SceneError
 from etendue.film import read_exr
-from etendue.jobs import picture
 from etendue.radiosity import (
     Patches,
     RadiosityError,
@@ -172,7 +172,7 @@ def test_mitsuba_shows_the_lightmap_on_the_mesh(tmp_path):
     view = camera((0.8, 0.2, 0.9), (0.3, 0.6, 0.1), 80.0, size=(24, 18))
     scene = mi.load_dict({"type": "scene", "sensor": view, "room": room})
     textured = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 1}), spp=64))
-    shown = np.pi * picture(solution, scene, samples=64).image
+    shown = np.pi * picture(solution, scene, spp=64).image
     np.testing.assert_allclose(textured, shown, rtol=0.03)
     assert np.ptp(shown) > 0.3
 

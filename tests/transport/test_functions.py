@@ -116,7 +116,7 @@ def test_the_rendering_equation_in_a_furnace():
 def test_a_picture_is_that_of_the_sensor(plate):
     """Pixels, their order and what lies in them are those of a rendering."""
     seen = [plate.picture(plate.emitted + integral(plate.direct, [6, 7], seed=1), (16, 12), 16, seed=n) for n in (2, 3)]
-    twice = [etendue.render(plate.scene, "path", samples=64, seed=n, max_depth=2).image for n in range(6)]
+    twice = [etendue.render(plate.scene, "path", spp=64, seed=n, max_depth=2).image for n in range(6)]
     several = [
         plate.picture(plate.emitted + integral(plate.direct, [6, 7], seed=1 + n), (16, 12), 16, seed=50 + n)
         for n in range(6)

@@ -18,7 +18,7 @@ SHIFT = 8
 @pytest.fixture(scope="module")
 def viewer(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    with etendue.view("cornell-box", "path", size=(64, 48), samples=8, max_depth=4, folder=folder) as made:
+    with etendue.view("cornell-box", "path", size=(64, 48), spp=8, max_depth=4, folder=folder) as made:
         yield made
 
 
@@ -63,7 +63,7 @@ def test_denoisers_of_components_are_chosen_in_the_page():
             assert made._session.show.denoise == denoise
             await asyncio.sleep(0.5)  # until the page has the new state
 
-    with etendue.view("cornell-box", "path", size=(32, 24), samples=4, max_depth=3, for_denoising=True) as made:
+    with etendue.view("cornell-box", "path", size=(32, 24), spp=4, max_depth=3, for_denoising=True) as made:
         browse(made, visit)
 
 
@@ -156,7 +156,7 @@ def test_the_frame_of_a_notebook(tmp_path):
     async def go():
         box = "document.querySelector('object').getBoundingClientRect().height"
         async with Browser(900, 900) as tab:
-            with etendue.view("cornell-box", "path", size=(64, 48), samples=1) as made:
+            with etendue.view("cornell-box", "path", size=(64, 48), spp=1) as made:
                 saved.write_text(f"<!doctype html><meta charset=utf-8><body>{made._repr_html_()}", encoding="utf-8")
                 await tab.open(saved.as_uri())
                 await tab.until("document.querySelector('object')")

@@ -26,7 +26,7 @@ BROKEN = """<scene version="3.0.0"><sensor type="perspective"/><emitter type="co
 @pytest.fixture(scope="module")
 def viewer(tmp_path_factory):
     folder = tmp_path_factory.mktemp("panels")
-    with etendue.view("cornell-glass", "path", size=SIZE, samples=4, max_depth=4, folder=folder) as made:
+    with etendue.view("cornell-glass", "path", size=SIZE, spp=4, max_depth=4, folder=folder) as made:
         yield made, folder
 
 
@@ -124,7 +124,7 @@ def test_a_lamp_that_is_switched_off_leaves_a_black_picture(tmp_path):
         page.send("parameters.reset")
         await state(page, lambda own: own["changes"] == {})
 
-    with etendue.view("cornell-glass", "path", size=SIZE, samples=1, max_depth=4, folder=tmp_path) as made:
+    with etendue.view("cornell-glass", "path", size=SIZE, spp=1, max_depth=4, folder=tmp_path) as made:
         talk(made, conversation)
     assert not read_exr(tmp_path / "black.exr").image.any()
 
@@ -137,7 +137,7 @@ def test_changes_are_kept_if_a_texture_cannot_be_loaded(tmp_path):
     broken.write_bytes(b"no picture")
     scene = bundled_scene("cornell-box").build()
     scene["sky"] = {"type": "envmap", "filename": str(tmp_path / "own.exr")}
-    with etendue.view(scene, "path", size=SIZE, samples=1, max_depth=2, folder=tmp_path) as made:
+    with etendue.view(scene, "path", size=SIZE, spp=1, max_depth=2, folder=tmp_path) as made:
 
         async def conversation(page):
             page.send("parameters.set", key=lamp, value=[2.0, 30.0, 1.0])
@@ -167,7 +167,7 @@ def test_changes_are_kept_if_a_texture_cannot_be_loaded(tmp_path):
 def test_an_edit_of_a_mesh_in_memory_stays_when_a_light_is_added(tmp_path):
     """The meshes of `caustics` are built by code; the file that is saved has them as files."""
     key = "stone.bsdf.specular_transmittance.value"
-    with etendue.view("caustics", "path", size=SIZE, samples=1, max_depth=2, folder=tmp_path) as made:
+    with etendue.view("caustics", "path", size=SIZE, spp=1, max_depth=2, folder=tmp_path) as made:
 
         async def conversation(page):
             own = (await state(page))["parameters"]

@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def viewer(folder):
-    with etendue.view("cornell-box", "path", size=SIZE, samples=4, max_depth=4, folder=folder) as made:
+    with etendue.view("cornell-box", "path", size=SIZE, spp=4, max_depth=4, folder=folder) as made:
         yield made
 
 
@@ -133,9 +133,7 @@ def test_the_picture_is_that_of_render(viewer, folder):
 
     talk(viewer, conversation)
     own = film.read_exr(folder / "own.exr")
-    made = etendue.render(
-        "cornell-box", "path", samples=4, samples_per_pass=1, size=SIZE, seed=0, max_depth=4, aovs=True
-    )
+    made = etendue.render("cornell-box", "path", spp=4, samples_per_pass=1, size=SIZE, seed=0, max_depth=4, aovs=True)
     # The viewer's camera is put together from position and direction, so that rays differ by rounding.
     assert film.relative_mse(own.layers["image"], made.image, trim=0.01) < 1e-8
     assert own.layers.keys() >= {"albedo", "normal", "variance"} and own.metadata["samples"] == 4
@@ -241,7 +239,7 @@ def test_two_pages_see_the_same(viewer):
 
 
 def test_beside_a_second_method_and_a_reference(viewer, folder):
-    reference = etendue.render("cornell-box", "path", samples=64, size=SIZE, seed=5, max_depth=4)
+    reference = etendue.render("cornell-box", "path", spp=64, size=SIZE, seed=5, max_depth=4)
     reference.save(folder / "reference.exr")
 
     async def conversation(page):
@@ -270,7 +268,7 @@ def test_beside_a_second_method_and_a_reference(viewer, folder):
         return done["relmse"]
 
     found = talk(viewer, conversation)
-    own = etendue.render("cornell-box", "path", samples=4, samples_per_pass=1, size=SIZE, seed=0, max_depth=4)
+    own = etendue.render("cornell-box", "path", spp=4, samples_per_pass=1, size=SIZE, seed=0, max_depth=4)
     assert found == pytest.approx(film.relative_mse(own.image, reference.image), rel=1e-6)
 
 
@@ -378,7 +376,7 @@ def test_the_run_file_and_the_scene_repeat_the_picture(viewer, folder):
     problem = load(lit.scene, size=lit.size)
     assert len(problem.scene.emitters()) == 2
     wanted = film.read_image(folder / "lit.exr")
-    made = etendue.render(str(lit.scene), "path", samples=4, samples_per_pass=1, size=SIZE, max_depth=4)
+    made = etendue.render(str(lit.scene), "path", spp=4, samples_per_pass=1, size=SIZE, max_depth=4)
     # The XML has the numbers of the camera in decimal.
     assert film.relative_mse(made.image, wanted) < 1e-3
     assert np.mean(made.image) == pytest.approx(np.mean(wanted), rel=1e-3)

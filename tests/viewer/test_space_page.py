@@ -66,7 +66,7 @@ def test_the_scene_is_edited_and_drawn(size, touch, tmp_path):
             assert await tab.value("document.documentElement.scrollWidth") <= size[0]
             assert not tab.errors
 
-    with etendue.view("cornell-box", "path", size=(48, 36), samples=8, max_depth=3, folder=tmp_path) as viewer:
+    with etendue.view("cornell-box", "path", size=(48, 36), spp=8, max_depth=3, folder=tmp_path) as viewer:
         asyncio.run(visit(viewer))
 
 
@@ -106,5 +106,5 @@ def test_rays_are_drawn_over_the_picture_and_follow_it(tmp_path):
             await tab.until(f"{lines} === 0")
             assert not tab.errors
 
-    with etendue.view("cornell-box", "vcm", size=(48, 36), samples=64, folder=tmp_path) as viewer:
+    with etendue.view("cornell-box", "vcm", size=(48, 36), spp=64, folder=tmp_path) as viewer:
         asyncio.run(visit(viewer))

@@ -1,0 +1,16 @@
+"""Tasks of pictures for tests of the engine and of workers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from etendue.engine import Budget, Task
+from etendue.products import Picture, picture_task
+from etendue.scene import SceneSource
+
+
+def rendering(
+    scene: Any, method: type[Any], settings: Any = None, seed: int = 0, budget: Budget | None = None, **source: Any
+) -> Task:
+    """The task of a picture without files; ``source``: further arguments of :class:`SceneSource`, such as ``size``."""
+    return picture_task(SceneSource(scene, **source), method, Picture(), settings, seed, budget)
