@@ -44,7 +44,19 @@ _LEFT = 130
 @cache
 def _command() -> Any:
     """The commands as click has them, made once: typer makes them anew at each call of ``app``."""
-    return typer.main.get_command(app)
+    made = typer.main.get_command(app)
+    _without_types(made)
+    return made
+
+
+def _without_types(command: Any, parent: Any = None) -> None:
+    """Show flags without ``<bool>`` in the help of a command and of those in it."""
+    context = command.make_context(command.name, [], parent=parent, resilient_parsing=True)
+    for parameter in command.get_params(context):
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    for inner in getattr(command, "commands", {}).values():
+        _without_types(inner, context)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

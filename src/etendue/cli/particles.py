@@ -45,7 +45,7 @@ def _methods() -> dict[str, Any]:
     return {name: find(name).Settings for name in PARTICLES}
 
 
-@app.command(cls=with_settings(_methods))
+@app.command(cls=with_settings(_methods, "particles"))
 def trace(
     scene: opt.Scene,
     output: NewFile,

@@ -88,12 +88,13 @@ def _factor_methods() -> dict[str, Any]:
 
 def _solution_methods() -> dict[str, Any]:
     from etendue.products import SOLUTIONS, find
-    from etendue.radiosity import GroupSettings
+    from etendue.radiosity import BoxSettings
 
-    return {name: find(name).Settings for name in SOLUTIONS} | {"grouping to boxes": GroupSettings}
+    return {name: find(name).Settings for name in SOLUTIONS} | {"boxes": BoxSettings}
 
 
-FactorCommand, SolutionCommand = with_settings(_factor_methods), with_settings(_solution_methods)
+FactorCommand = with_settings(_factor_methods, "lines")
+SolutionCommand = with_settings(_solution_methods, "lines")
 
 
 def form_factors(

@@ -18,9 +18,9 @@ SettingsOf = Callable[[], Mapping[str, Any]]
 _UNNAMED = {"--ambient": "fuzzy", "--hierarchy": ""}
 
 
-def with_settings(settings_of: SettingsOf) -> type[TyperCommand]:
+def with_settings(settings_of: SettingsOf, default: str | None = None) -> type[TyperCommand]:
     """The class of a command that has the settings of these methods as options. Its help shows those of the method that
-    is named by ``-m``, and otherwise those that all methods have."""
+    is named by ``-m``, and otherwise those of the ``default`` method, or those that all methods have."""
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -31,7 +31,7 @@ def with_settings(settings_of: SettingsOf) -> type[TyperCommand]:
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
             super().format_help(ctx, formatter)
-            _show_settings(settings_of(), ctx.meta.get("words", []))
+            _show_settings(settings_of(), ctx.meta.get("words", []), default)
 
         def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
             found: list[Any] = super().shell_complete(ctx, incomplete)
@@ -93,13 +93,13 @@ def is_source(word: str) -> bool:
     return bool(path.suffix) or path.exists() or len(path.parts) > 1 or word in bundled()
 
 
-def _show_settings(methods: Mapping[str, Any], words: list[str]) -> None:
+def _show_settings(methods: Mapping[str, Any], words: list[str], named: str | None) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.panel import Panel
     from rich.table import Table
 
-    named = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("-m", "--method")), None)
+    named = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("-m", "--method")), named)
     kinds = [methods[named]] if named is not None and named in methods else list(methods.values())
     names = [name for name in kinds[0].names() if all(name in kind.names() for kind in kinds)]
     table = Table(box=None, show_header=False, pad_edge=False)

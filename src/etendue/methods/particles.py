@@ -106,7 +106,7 @@ class ParticleSettings(Settings):
 
 
 class ParticleTracing(Method):
-    """Hits of light paths on surfaces as particles.
+    """Independent light paths, whose hits on surfaces are particles.
 
     A measurement has the record ``particles`` (:data:`etendue.particles.Rows`, in the scene's units, ordered by path;
     the power is not divided by the number of paths) and the counters ``paths``, ``particles`` and ``rays``. A sample of

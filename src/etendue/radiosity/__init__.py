@@ -93,6 +93,7 @@ from .hierarchical_multipath.divided.around import DividedMultipath as DividedMu
 from .hierarchical_multipath.divided.units import check_divisible as check_divisible
 from .hierarchical_multipath.grouping import GroupSettings as GroupSettings, grouped as grouped
 from .hierarchical_multipath.method import (
+    BoxSettings as BoxSettings,
     HierarchicalMultipath as HierarchicalMultipath,
     HierarchicalMultipathSettings as HierarchicalMultipathSettings,
     PartProblem as PartProblem,

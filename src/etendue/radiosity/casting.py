@@ -78,7 +78,7 @@ class CastingSettings(AnySettings):
 
 
 class LineCasting(Method):
-    """Bundles of lines through patches, some with each :meth:`step`.
+    """Bundles of lines through all patches, which are stored and solved.
 
     A measurement holds the segments of its passes as a record, the number of bundles, and sums of the first shot.
     Passes are independent: the results of :meth:`segments` and :meth:`shot` depend only on the passes of a

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from etendue import methods
 from etendue.core import bibtex
+from etendue.products import FACTORS, PARTICLES, SOLUTIONS, find
 
 from ..console import say
 
@@ -20,26 +22,33 @@ _ALWAYS_CITED = ("Mitsuba3", "Jakob2022")
 
 
 def show_methods() -> int:
-    """Print a line per method."""
-    table = Table(box=None, pad_edge=False, show_header=False)
-    table.add_column(no_wrap=True, style="bold")
-    table.add_column()
-    for name, method in methods.table().items():
-        table.add_row(name, _first_line(method))
-    Console(highlight=False).print(table)
+    """Print a line per method, by what they make."""
+    for title, names in (
+        ("pictures (etendue render)", tuple(methods.table())),
+        ("form factors (etendue form-factors)", FACTORS),
+        ("radiosity (etendue radiosity)", SOLUTIONS),
+        ("particles (etendue particles trace)", PARTICLES),
+    ):
+        table = Table(box=None, pad_edge=False, show_header=False, title=title, title_justify="left", title_style="dim")
+        table.add_column(no_wrap=True, style="bold")
+        table.add_column()
+        for name in names:
+            table.add_row(name, _plain(_first_line(find(name))))
+        Console(highlight=False).print(table, markup=False)
     say("\nMore, with settings: etendue methods NAME")
     return 0
 
 
 def show_method(name: str) -> int:
     """The manual page: docstrings of class and file, and the settings."""
-    method = methods.get(name)
-    say(f"{name}: {_first_line(method)}\n")
+    method = find(name)
+    name = method.name
+    say(f"{name}: {_plain(_first_line(method))}\n")
     body = "\n".join(inspect.cleandoc(method.__doc__ or "").splitlines()[1:]).strip()
     module = inspect.cleandoc(sys.modules[method.__module__].__doc__ or "")
     for text in (body, module):
         if text:
-            say(f"{text}\n")
+            say(f"{_plain(text)}\n")
     table = Table(box=None, pad_edge=False)
     for heading in ("setting (-D)", "type", "default", "meaning"):
         table.add_column(heading, no_wrap=heading == "setting (-D)")
@@ -70,10 +79,18 @@ def show_citations(names: Sequence[str]) -> int:
     """BibTeX of the methods' papers, each once, and of the software they run on."""
     keys: dict[str, None] = {}
     for name in names:
-        keys.update(dict.fromkeys(methods.get(name).citations))
+        keys.update(dict.fromkeys(find(name).citations))
     keys.update(dict.fromkeys(_ALWAYS_CITED))
     say(bibtex(keys))
     return 0
+
+
+def _plain(text: str) -> str:
+    """A docstring as text for a terminal: without citations and the marks of references."""
+    text = re.sub(r":[a-z]+:`[~.]*(?:[^`<]*<)?([^`>]*)>?`", r"\1", text)
+    text = re.sub(r" \[[A-Z][^\]]*\d{4}[^\]]*\]", "", text)
+    text = re.sub(r":math:`([^`]*)`", r"\1", text)
+    return text.replace("``", "")
 
 
 def _first_line(method: type[Any]) -> str:

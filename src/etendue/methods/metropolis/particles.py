@@ -104,7 +104,7 @@ class MetropolisParticlesSettings(Settings):
 
 
 class MetropolisParticles(Carrying, Method):
-    """Particles of equal luminance by Markov chains.
+    """Light paths as steps of Markov chains: particles of equal luminance.
 
     A pass is ``steps`` steps of all chains, which are distributed as the incident flux. A state that a chain
     repeats is one particle with that many times the power. A measurement has the record ``particles``

@@ -54,8 +54,10 @@ class HierarchicalCastingSettings(CastingSettings):
 
 
 class HierarchicalCasting(LineCasting):
-    """Lines in a hierarchy of spheres around the objects of a scene [Castro 2002, ch. 4]. The form factors of small
-    patches, which few lines of the whole scene meet, come from lines of the spheres around them.
+    """Lines in spheres around the objects of a scene, and through all of it [Castro 2002, ch. 4].
+
+    The form factors of small patches, which few lines of the whole scene meet, come from lines of the spheres around
+    them.
 
     objects: the objects of the patches of :meth:`prepare`. goal: ``rows`` or ``None``.
     """

@@ -35,6 +35,7 @@ from ..lines.sequences import LINE_POINTS, line_points
 from ..problem import PatchProblem
 from .exchange import Exchange
 from .firstshot import FirstShots
+from .grouping import GroupSettings
 from .light import Shot
 from .lists import Lists, PartRays, preprocess
 from .parts import Part, Tree
@@ -86,6 +87,11 @@ class HierarchicalMultipathSettings(AnySettings):
         return line_points(self.point_set, seed, purpose)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BoxSettings(HierarchicalMultipathSettings, GroupSettings):
+    """Settings of method ``boxes`` as users give them: of the method, and of the grouping of objects."""
+
+
 @dataclass(frozen=True)
 class PartProblem:
     """A scene of parts as the problem of a job. ``source`` is the name of its source, ``patches`` are all of it in one
@@ -115,7 +121,7 @@ class PartProblem:
 
 
 class HierarchicalMultipath(Method):
-    """Multipath through a scene of parts, whose copies share their lines [Castro 2002, ch. 5].
+    """Multipath in boxes around groups of objects or instances, whose copies share their lines [Castro 2002, ch. 5].
 
     Each pass is a whole solution. Lines are cast through every distinct part, including the root, and stored. A first
     shot sends the emission to patches. Power is then exchanged along the stored lines, from the root down, until little

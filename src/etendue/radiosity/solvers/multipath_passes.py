@@ -53,7 +53,7 @@ class MultipathSettings(AnySettings):
 
 
 class MultipathPasses(Method):
-    """:func:`multipath` in passes.
+    """Multipath: light is exchanged along single lines, of which none are stored; :func:`multipath` in passes.
 
     Each pass sends the power of all patches along its lines. The power that is still unshot after a pass is the state,
     with which the next pass begins. A measurement holds the growth of the unshot power, so measurements of replicas
