@@ -134,7 +134,7 @@ def run(size: int = 160, samples: int = 256, passes: int = 4) -> dict[str, Any]:
     # The film begins at its upper left; v runs from below.
     upright = Integrand(lambda x: [x[0], 1 - x[1]], 2, (0, 1), "device", values=2)
     seen = reflected.compose(upright)
-    shape, path = (size, size), {"samples": 2 * samples, "max_depth": 2}
+    shape, path = (size, size), {"spp": 2 * samples, "max_depth": 2}
     composed = [film_picture(seen, shape, samples=2, seed=100 + n) for n in range(passes)]
     rendered = [etendue.render(scene, "path", size=shape, seed=n, **path).image for n in range(passes)]
     return {"composed": np.array(composed), "rendered": np.array(rendered), "albedo_error": worst}

@@ -59,10 +59,10 @@ class Occlusion(ImageMethod):
         return {"image": self.image(value, seed, iteration)}, counters
 
 
-def run(scene: Any, size: tuple[int, int], samples: int, **settings: Any) -> np.ndarray:
+def run(scene: Any, size: tuple[int, int], spp: int, **settings: Any) -> np.ndarray:
     """The picture (height, width, 3)."""
     etendue.register(Occlusion)
-    return etendue.render(scene, "occlusion", size=size, spp=samples, **settings).image
+    return etendue.render(scene, "occlusion", size=size, spp=spp, **settings).image
 
 
 def main(folder: str = ".") -> None:

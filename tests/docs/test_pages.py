@@ -15,8 +15,8 @@ import pytest
 from support.run_files import SCENE, example
 
 import etendue
-from etendue import api, display, methods
-from etendue.cli import options, rendering, solutions
+from etendue import display, methods
+from etendue.cli import lines, options, particles, running
 from etendue.cli.experiments import compare
 from etendue.cli.inspection import doctor, viewing
 from etendue.cli.main import main
@@ -110,9 +110,7 @@ EXAMPLES = [(page, n) for page in PAGES for n in range(len(_EXAMPLE.findall(page
 
 @pytest.mark.parametrize(("page", "number"), EXAMPLES, ids=lambda v: relative(v) if isinstance(v, Path) else str(v))
 def test_examples_run(page, number, tmp_path, monkeypatch, variant):
-    for name in ("render", "start"):
-        monkeypatch.setattr(etendue, name, short(getattr(api, name)), raising=False)
-    monkeypatch.setattr(etendue, "resume", api.resume, raising=False)
+    monkeypatch.setattr(etendue, "render", short(etendue.render))
     cast = ABuffer.cast
     monkeypatch.setattr(ABuffer, "cast", lambda lines, count, *rest: cast(lines, min(count, 64), *rest))
     monkeypatch.setattr(mi, "set_variant", lambda name: None)  # that of the session stays
@@ -122,7 +120,7 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     code = code.replace("samples=1 << 21", "samples=1 << 17")
     code = code.replace("session.wait(5)", "while not session.progress.samples:\n    session.wait(0.1)")
     if "picture.exr" in code:
-        made = api.render("scene.xml", "path", spp=2, save="picture.exr")
+        made = etendue.render("scene.xml", "path", spp=2, save="picture.exr")
         made.save("reference.exr")
     exec(compile(code, relative(page), "exec"), {"__name__": "example"})
 
@@ -136,9 +134,9 @@ def folder(tmp_path_factory, variant):
     meshio = pytest.importorskip("meshio")
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(SCENE)
-    api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
-    film = {"samples": 2, "size": (8, 6), "bootstrap": 1024}
-    api.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)
+    etendue.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
+    film = {"spp": 2, "size": (8, 6), "bootstrap": 1024}
+    etendue.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     for copy in ("reference.exr", "picture.exr", "mitsuba.exr"):
         shutil.copy(path / "converged.exr", path / copy)
@@ -156,18 +154,25 @@ def folder(tmp_path_factory, variant):
 def test_commands_are_understood(command, folder, monkeypatch, capsys):
     """All is read and checked; nothing is rendered."""
     begun = []
+
+    def begin(*arguments):
+        begun.append(arguments)
+        return 0
+
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(rendering, "choose_device", lambda *arguments: None)
+    monkeypatch.setattr(running, "choose_device", lambda *arguments: None)
     monkeypatch.setattr(options.Device, "opened", lambda device: nullcontext())
-    monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
-    monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
-    monkeypatch.setattr(solutions, "cast", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
-    monkeypatch.setattr(rendering, "follow", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
-    for name in ("solution_to_files", "exact_to_files"):
-        monkeypatch.setattr(solutions, name, lambda *arguments: begun.append(arguments))
+    for place, name in (
+        (running, "render_to_files"),
+        (compare.Comparison, "run"),
+        (lines, "run_on_patches"),
+        (lines, "write_again"),
+        (particles, "trace_to_file"),
+        (viewing, "show"),
+        (doctor, "run_doctor"),
+    ):
+        monkeypatch.setattr(place, name, begin)
     monkeypatch.setattr(display, "develop", lambda layers, *_, **__: begun.append(layers) or layers["image"])
-    monkeypatch.setattr(viewing, "show", lambda *arguments: begun.append(arguments) or 0)
-    monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     if words[:2] == ["particles", "trace"]:  # refuses to overwrite the file that the others read
         words[words.index("-o") + 1] = "new.particles"

@@ -65,7 +65,7 @@ def test_occlusion(reach, monkeypatch):
     }
     place = turn.translate([0.5, 0.5, 0.0]).rotate([1, 0, 0], 90).scale(0.5)
     plated = floor | {"plate": {"type": "rectangle", "to_world": place, "bsdf": white}}
-    options, by_path, found = {"size": (12, 12), "samples": 64}, [], []
+    options, by_path, found = {"size": (12, 12), "spp": 64}, [], []
     for seed in range(6):
         found.append(module.run(plated, seed=seed, reach=reach, **options))
         seen = plated if reach == 0.0 else floor

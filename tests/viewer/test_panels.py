@@ -229,7 +229,7 @@ def test_what_the_3d_view_asks_for(viewer):
 
 
 def test_tev_shows_what_the_viewer_shows():
-    small = {"size": (16, 12), "samples": 2}
+    small = {"size": (16, 12), "spp": 2}
     with fake_tev() as server, etendue.view("cornell-box", "path", tev=server.address, **small) as made:
         talk(made, done)
     shown = server.images["etendue view"]["R"]
