@@ -21,7 +21,7 @@ SMALL = {"size": (16, 12), "samples_per_pass": 2}
 
 
 def test_render_returns_image_layers_and_metadata(tmp_path):
-    rendering = api.render("cornell-box", "path", spp=6, seed=3, max_depth=4, **SMALL)
+    rendering = etendue.render("cornell-box", "path", spp=6, seed=3, max_depth=4, **SMALL)
     assert rendering.image.shape == (12, 16, 3)
     assert rendering.image.dtype == np.float32
     assert np.isfinite(rendering.image).all()
@@ -50,11 +50,11 @@ def test_scenes_in_memory(kind, tmp_path):
     scene["sensor"]["film"].update({"width": 8, "height": 8})
     checkpoint = tmp_path / "a"
     given = scene if kind == "dict" else mi.load_dict(scene)
-    rendering = api.render(given, "path", spp=2, samples_per_pass=1, checkpoint=checkpoint)
+    rendering = etendue.render(given, "path", spp=2, samples_per_pass=1, checkpoint=checkpoint)
     assert rendering.image.shape == (8, 8, 3)
     with pytest.raises(CheckpointError, match="from a scene in memory"):
-        api.resume(checkpoint, spp=4)
-    assert api.resume(checkpoint, spp=4, scene=given).metadata["passes"] == 4
+        etendue.resume(checkpoint, spp=4)
+    assert etendue.resume(checkpoint, spp=4, scene=given).metadata["passes"] == 4
 
 
 def test_without_a_budget_the_scene_decides():
@@ -62,7 +62,7 @@ def test_without_a_budget_the_scene_decides():
     scene["sensor"]["film"].update({"width": 8, "height": 8})
     scene["sensor"]["sampler"]["sample_count"] = 7
     scene["integrator"]["max_depth"] = 3
-    rendering = api.render(scene, "path")
+    rendering = etendue.render(scene, "path")
     assert rendering.metadata["samples"] == 7
     assert rendering.metadata["settings"]["max_depth"] == 3
 
@@ -71,10 +71,10 @@ def test_the_scenes_own_integrator_gives_settings_that_were_not_given(caplog):
     scene = mi.cornell_box()
     scene["sensor"]["film"].update({"width": 8, "height": 8})
     scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 3, "strength": 2.0}
-    settings = api.render(scene, "path", spp=1, rr_depth=2).metadata["settings"]
+    settings = etendue.render(scene, "path", spp=1, rr_depth=2).metadata["settings"]
     assert (settings["max_depth"], settings["rr_depth"]) == (5, 2)
     assert "'strength' of the scene's integrator 'path' is not supported" in caplog.text
-    assert api.render(scene, "light", spp=1).metadata["settings"]["rr_depth"] != 3
+    assert etendue.render(scene, "light", spp=1).metadata["settings"]["rr_depth"] != 3
 
 
 @pytest.mark.parametrize(
@@ -87,14 +87,14 @@ def test_without_a_method_the_scenes_integrator_is_taken(named, method, caplog):
     del scene["integrator"]
     if named is not None:
         scene["integrator"] = {"type": named, "max_depth": 3}
-    metadata = api.render(scene, spp=1).metadata
+    metadata = etendue.render(scene, spp=1).metadata
     assert metadata["method"] == method
     assert metadata["settings"]["max_depth"] == (-1 if named is None else 3)
     assert (f"the scene names the integrator '{named}'" in caplog.text) == (named in ("path", "volpath"))
 
 
 def test_samples_of_a_pass_add_up_to_the_budget():
-    rendering = api.render("cornell-box", "path", spp=20, size=(8, 8))
+    rendering = etendue.render("cornell-box", "path", spp=20, size=(8, 8))
     assert rendering.metadata["samples"] == 20
 
 
@@ -106,7 +106,7 @@ def test_callback_sees_the_picture_and_may_stop(kind):
         seen.append((update.progress.passes, float(update.image.mean())))
         return kind(update.progress.passes < 3)
 
-    rendering = api.render("cornell-box", "path", spp=100, callback=callback, **SMALL)
+    rendering = etendue.render("cornell-box", "path", spp=100, callback=callback, **SMALL)
     assert [passes for passes, _ in seen] == [1, 2, 3]
     assert rendering.metadata["stopped_by"] == "cancel"
     assert seen[-1][1] == pytest.approx(rendering.image.mean())
@@ -115,11 +115,11 @@ def test_callback_sees_the_picture_and_may_stop(kind):
 @pytest.mark.parametrize(
     ("call", "given", "text"),
     [
-        (api.render, {"sampels": 4}, "method 'vcm' has no option 'sampels'; did you mean 'samples'?"),
-        (api.render, {"chekpoint": "a"}, "method 'vcm' has no option 'chekpoint'; did you mean 'checkpoint'?"),
+        (etendue.render, {"sampels": 4}, "method 'vcm' has no option 'sampels'; did you mean 'samples'?"),
+        (etendue.render, {"chekpoint": "a"}, "method 'vcm' has no option 'chekpoint'; did you mean 'checkpoint'?"),
         (api.start, {"secnds": 4}, "method 'vcm' has no option 'secnds'; did you mean 'seconds'?"),
-        (api.render, {"max_dept": 4}, "method 'vcm' has no option 'max_dept'; did you mean 'max_depth'?"),
-        (api.render, {"spp": 4}, "there is no argument 'spp'; did you mean 'samples'?"),
+        (etendue.render, {"max_dept": 4}, "method 'vcm' has no option 'max_dept'; did you mean 'max_depth'?"),
+        (etendue.render, {"spp": 4}, "there is no argument 'spp'; did you mean 'samples'?"),
         (etendue.view, {"sampels": 4}, "method 'path' has no option 'sampels'; did you mean 'samples'?"),
         (etendue.trace_particles, {"pahts": 4}, "tracing by particles has no option 'pahts'; did you mean 'paths'?"),
         (etendue.trace_particles, {"samples": 1}, "there is no argument 'samples'; did you mean 'paths'?"),
@@ -151,15 +151,15 @@ def test_a_callback_may_cancel_its_session():
 
 def test_numbers_of_numpy_are_kept_in_checkpoints(tmp_path):
     given = {"size": np.array([16, 12]), "seed": np.int64(3), "sensor": np.int64(0), "memory": np.int64(1 << 30)}
-    made = api.render("cornell-box", "path", spp=2, samples_per_pass=2, checkpoint=tmp_path / "a", **given)
+    made = etendue.render("cornell-box", "path", spp=2, samples_per_pass=2, checkpoint=tmp_path / "a", **given)
     assert made.image.shape == (12, 16, 3)
-    resumed = api.resume(tmp_path / "a", spp=4)
+    resumed = etendue.resume(tmp_path / "a", spp=4)
     assert resumed.metadata["seed"] == 3 and resumed.metadata["samples"] == 4
 
 
 def test_another_name_gets_the_settings():
     with pytest.raises(OptionError, match=r"'path' has no option 'xyzzy'; it has: .*max_depth"):
-        api.render("cornell-box", "path", xyzzy=1)
+        etendue.render("cornell-box", "path", xyzzy=1)
 
 
 def test_what_a_callback_raises_costs_no_work(tmp_path):
@@ -168,7 +168,7 @@ def test_what_a_callback_raises_costs_no_work(tmp_path):
             raise ValueError("plot window closed")
 
     with pytest.raises(RunError, match="plot window closed") as caught:
-        api.render("cornell-box", "path", spp=100, callback=callback, save=tmp_path / "a.exr", **SMALL)
+        etendue.render("cornell-box", "path", spp=100, callback=callback, save=tmp_path / "a.exr", **SMALL)
     assert caught.value.run.result.image.mean() > 0
     assert film.read_exr(tmp_path / "a.exr").metadata["passes"] == 2
 
@@ -179,10 +179,10 @@ def test_ctrl_c_writes_what_there_is(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        api.render("cornell-box", "path", spp=100, callback=callback, checkpoint=tmp_path / "a", **SMALL)
+        etendue.render("cornell-box", "path", spp=100, callback=callback, checkpoint=tmp_path / "a", **SMALL)
     (note,) = caught.value.__notes__
     assert note.startswith("interrupted after 2 passes") and "session = etendue.start(...)" in note
-    assert api.resume(tmp_path / "a", spp=6).metadata["passes"] == 3
+    assert etendue.resume(tmp_path / "a", spp=6).metadata["passes"] == 3
 
 
 def test_a_place_that_vanishes_costs_no_picture(tmp_path, temporary):
@@ -195,9 +195,9 @@ def test_a_place_that_vanishes_costs_no_picture(tmp_path, temporary):
             place.rmdir()
 
     with pytest.raises(OutputError, match=r"the picture is in '(.*a\.exr)' instead") as caught:
-        api.render("cornell-box", "path", spp=8, callback=callback, save=place / "a.exr", checkpoint=other, **SMALL)
+        etendue.render("cornell-box", "path", spp=8, callback=callback, save=place / "a.exr", checkpoint=other, **SMALL)
     assert film.read_exr(rescued(caught.value, "a.exr")).metadata["passes"] == 4
-    assert api.resume(other, spp=10).metadata["passes"] == 5
+    assert etendue.resume(other, spp=10).metadata["passes"] == 5
 
 
 def test_every_place_that_fails_is_named(tmp_path):
@@ -230,13 +230,13 @@ def test_a_picture_that_cannot_be_written_is_kept_as_arrays(tmp_path, temporary,
     monkeypatch.setattr(film, "write_exr", fail)
     paths = {"save": [tmp_path / "a.exr", tmp_path / "a.png"], "checkpoint": tmp_path / "c"}
     with pytest.raises(OutputError, match=r"cannot write '.*a\.exr': RuntimeError: a fault of the writer") as caught:
-        api.render("cornell-box", "path", spp=4, **paths, **SMALL)
+        etendue.render("cornell-box", "path", spp=4, **paths, **SMALL)
     with np.load(rescued(caught.value, "a.exr.npz")) as arrays:
         kept = arrays["image"]
     assert (tmp_path / "a.png").exists()
     monkeypatch.undo()
-    assert np.array_equal(kept, api.render("cornell-box", "path", spp=4, **SMALL).image)
-    assert api.resume(tmp_path / "c", spp=6).metadata["passes"] == 3
+    assert np.array_equal(kept, etendue.render("cornell-box", "path", spp=4, **SMALL).image)
+    assert etendue.resume(tmp_path / "c", spp=6).metadata["passes"] == 3
 
 
 def test_a_picture_that_cannot_be_developed_is_kept_as_a_checkpoint(tmp_path, temporary, monkeypatch):
@@ -244,9 +244,9 @@ def test_a_picture_that_cannot_be_developed_is_kept_as_a_checkpoint(tmp_path, te
     with pytest.raises(
         OutputError, match=r"cannot develop the picture: ZeroDivisionError: .*; the checkpoint"
     ) as caught:
-        api.render("cornell-box", "path", spp=4, save=tmp_path / "a.exr", **SMALL)
+        etendue.render("cornell-box", "path", spp=4, save=tmp_path / "a.exr", **SMALL)
     monkeypatch.undo()
-    assert api.resume(rescued(caught.value, "render.checkpoint"), spp=6).metadata["passes"] == 3
+    assert etendue.resume(rescued(caught.value, "render.checkpoint"), spp=6).metadata["passes"] == 3
 
 
 def test_what_cannot_be_kept_anywhere_leaves_no_litter(tmp_path, temporary, monkeypatch):
@@ -256,7 +256,7 @@ def test_what_cannot_be_kept_anywhere_leaves_no_litter(tmp_path, temporary, monk
     monkeypatch.setattr(film, "write_exr", fail)
     monkeypatch.setattr(np, "savez", fail)
     with pytest.raises(OutputError) as caught:
-        api.render("cornell-box", "path", spp=4, save=tmp_path / "a.exr", **SMALL)
+        etendue.render("cornell-box", "path", spp=4, save=tmp_path / "a.exr", **SMALL)
     assert str(caught.value) == f"cannot write '{tmp_path / 'a.exr'}': MemoryError"
     assert list(temporary.iterdir()) == []
 
@@ -268,7 +268,7 @@ def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, tem
         raise ValueError("plot window closed")
 
     with pytest.raises(RunError, match="plot window closed"):
-        api.render("cornell-box", "path", spp=4, callback=callback, save=tmp_path / "a.exr", **SMALL)
+        etendue.render("cornell-box", "path", spp=4, callback=callback, save=tmp_path / "a.exr", **SMALL)
     assert "the finished passes could not be saved" in caplog.text
     assert rescued(caplog.text, "a.exr.npz").exists()
 
@@ -277,7 +277,7 @@ def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, tem
     ("method", "tolerance"), [("path", 0.0), ("guided", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)]
 )
 def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
-    whole = api.render("cornell-glass", method, spp=8, **SMALL)
+    whole = etendue.render("cornell-glass", method, spp=8, **SMALL)
     checkpoint, picture = tmp_path / "a", tmp_path / "a.exr"
     with api.start("cornell-glass", method, spp=8, checkpoint=checkpoint, **SMALL) as session:
         while session.progress.passes < 1:
@@ -286,8 +286,8 @@ def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
         session.cancel()
         early = session.result.metadata["passes"]
     if early == 4:  # the machine was faster than the cancellation
-        api.render("cornell-glass", method, spp=4, checkpoint=checkpoint, **SMALL)
-    resumed = api.resume(checkpoint, spp=8, save=picture)
+        etendue.render("cornell-glass", method, spp=4, checkpoint=checkpoint, **SMALL)
+    resumed = etendue.resume(checkpoint, spp=8, save=picture)
     assert resumed.metadata["passes"] == 4
     for name, layer in whole.layers.items():
         if tolerance == 0.0:
@@ -348,7 +348,7 @@ def test_session_reports_a_bad_scene_where_one_waits():
         ({"checkpoint": "/no/such/folder/a"}, OutputError, "no folder"),
     ],
 )
-@pytest.mark.parametrize("door", [api.render, api.start])
+@pytest.mark.parametrize("door", [etendue.render, api.start])
 def test_bad_arguments_are_refused_before_the_scene_is_read(door, arguments, error, message):
     with pytest.raises(error, match=message):
         door(**({"scene": "/no/such/scene.xml", "method": "path"} | arguments))
@@ -362,25 +362,25 @@ def test_resume_refuses_a_changed_scene_and_a_spent_budget(tmp_path):
         <float name="radius" value="RADIUS"/></shape></scene>"""
     scene.write_text(text.replace("RADIUS", "1"))
     checkpoint = tmp_path / "a.checkpoint"
-    api.render(scene, "path", spp=2, samples_per_pass=1, checkpoint=checkpoint)
+    etendue.render(scene, "path", spp=2, samples_per_pass=1, checkpoint=checkpoint)
     with pytest.raises(CheckpointError, match="the budget of the checkpoint is used up"):
-        api.resume(checkpoint)
+        etendue.resume(checkpoint)
     scene.write_text(text.replace("RADIUS", "2"))
     before = checkpoint.read_bytes()
     with pytest.raises(CheckpointError, match="the scene is not the one"):
-        api.resume(checkpoint, spp=4)
+        etendue.resume(checkpoint, spp=4)
     scene.unlink()
     with pytest.raises(CheckpointError, match="cannot be loaded"):
-        api.resume(checkpoint, spp=4)
+        etendue.resume(checkpoint, spp=4)
     assert checkpoint.read_bytes() == before
     moved = tmp_path / "moved.xml"
     moved.write_text(text.replace("RADIUS", "1"))
-    assert api.resume(checkpoint, spp=4, scene=moved).metadata["passes"] == 4
-    assert api.resume(checkpoint, spp=5).metadata["passes"] == 5  # it remembers where the scene is now
+    assert etendue.resume(checkpoint, spp=4, scene=moved).metadata["passes"] == 4
+    assert etendue.resume(checkpoint, spp=5).metadata["passes"] == 5  # it remembers where the scene is now
     with pytest.raises(CheckpointError, match="made by method 'path', not 'light'"):
-        api.resume(checkpoint, "light", spp=6)
+        etendue.resume(checkpoint, "light", spp=6)
     with pytest.raises(CheckpointError, match="samples_per_pass was 1, is 2"):
-        api.resume(checkpoint, spp=6, samples_per_pass=2)
+        etendue.resume(checkpoint, spp=6, samples_per_pass=2)
     with pytest.raises(OptionError, match="did you mean 'samples'"):
-        api.resume(checkpoint, spp=6)
-    assert api.resume(checkpoint, "path", spp=6, samples_per_pass=1).metadata["passes"] == 6
+        etendue.resume(checkpoint, spp=6)
+    assert etendue.resume(checkpoint, "path", spp=6, samples_per_pass=1).metadata["passes"] == 6

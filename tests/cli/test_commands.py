@@ -133,7 +133,7 @@ def test_without_a_method_the_scene_decides(folder, capsys):
 
 
 def test_compare_writes_pictures_and_a_page(folder, capsys):
-    api.render("cornell-box", "path", spp=16, size=(16, 16), save="reference.exr")
+    etendue.render("cornell-box", "path", spp=16, size=(16, 16), save="reference.exr")
     command = (
         "compare cornell-box -m path -m bpt --size 16x16 --spp 8 -o out --reference reference.exr -D path.mode=naive"
     )
@@ -177,14 +177,14 @@ def test_the_page_names_a_command_that_makes_the_same_picture(folder):
 
 
 def test_compare_averages_errors_over_seeds(folder, capsys):
-    api.render("cornell-box", "path", spp=16, size=(8, 8), save="reference.exr")
+    etendue.render("cornell-box", "path", spp=16, size=(8, 8), save="reference.exr")
     assert run("compare cornell-box -m path --size 8x8 --spp 4 --seeds 3 --reference reference.exr -o out") == 0
     assert {"path.exr", "path-seed-1.exr", "path-seed-2.exr"} <= set(os.listdir("out"))
     assert "Bars are standard errors over seeds" in Path("out/index.html").read_text("utf-8")
 
 
 def test_compare_refuses_a_reference_of_another_size_before_rendering(folder, capsys):
-    api.render("cornell-box", "path", spp=1, size=(8, 8), save="reference.exr")
+    etendue.render("cornell-box", "path", spp=1, size=(8, 8), save="reference.exr")
     assert run("compare cornell-box --size 16x16 --spp 1 --reference reference.exr") == 2
     assert "use --size 8x8" in capsys.readouterr().err
 

@@ -40,7 +40,7 @@ def table(path: str) -> list[dict[str, str]]:
 def test_a_run_keeps_pictures_at_their_times_and_the_error_over_time(folder, capsys, monkeypatch):
     # At least 50 ms, so that a fast machine is not done before the saves, which hold 10 and 30 passes at most.
     passes.watch(monkeypatch, "bpt", lambda method, iteration: time.sleep(0.05))
-    api.render("cornell-box", "path", spp=2048, size=(16, 16), save="reference.exr")
+    etendue.render("cornell-box", "path", spp=2048, size=(16, 16), save="reference.exr")
     Path("a.toml").write_text(
         'seed = 5\n[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n'
         '[method]\nname = "bpt"\nsettings = {split_layers = true, samples_per_pass = 16}\n'
@@ -99,7 +99,7 @@ def test_paths_are_relative_to_the_file_and_the_example_of_the_manual_runs(folde
     home = folder / "experiments"
     home.mkdir()
     (home / "scene.xml").write_text(SCENE)
-    api.render(home / "scene.xml", "path", spp=4, size=(24, 18), save=home / "reference.exr")
+    etendue.render(home / "scene.xml", "path", spp=4, size=(24, 18), save=home / "reference.exr")
     (home / "glass.toml").write_text(example((24, 18), "0.1, 0.3"))
     assert main(["run", "experiments/glass.toml", "--check"]) == 0
     assert "is in order: vcm on" in capsys.readouterr().out
@@ -237,7 +237,7 @@ def test_ctrl_c_keeps_everything(folder):
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
 def test_a_resumed_run_goes_on_with_its_records(folder, capsys, monkeypatch):
-    api.render("cornell-box", "path", spp=64, size=(16, 16), save="reference.exr")
+    etendue.render("cornell-box", "path", spp=64, size=(16, 16), save="reference.exr")
     Path("a.toml").write_text(
         BOX + "settings = {samples_per_pass = 1}\n[budget]\nseconds = 2\n[autosave]\ntimes = [0.2, 1, 2]\n"
         '[output]\nfolder = "out"\n[reference]\nfile = "reference.exr"\n'

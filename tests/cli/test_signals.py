@@ -142,7 +142,7 @@ sys.exit(main(sys.argv[2:]))
 def test_a_file_is_written_to_its_end(command):
     """Whatever signals come meanwhile: two that are more than a second apart."""
     if "develop" in command:
-        api.render("cornell-box", "path", spp=1, size=(16, 12), save="a.exr")
+        etendue.render("cornell-box", "path", spp=1, size=(16, 12), save="a.exr")
     code = [sys.executable, "-c", SLOW_FILES, ".png" if ".png" in command else ".exr", *shlex.split(command)]
     process = subprocess.Popen(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline() == "writing\n"

@@ -122,10 +122,14 @@ class Session(InNotebooks, Generic[T]):
             if left <= 0:
                 return False
             self._done.wait(left)
-        self._thread.join()
+        self._join()
         if self._error is not None:
             raise self._error
         return True
+
+    def _join(self) -> None:
+        self._thread.join()
+        take_over()
 
     @property
     def result(self) -> T:
@@ -149,7 +153,7 @@ class Session(InNotebooks, Generic[T]):
         if self._is_own_thread:
             return
         self._done.wait()
-        self._thread.join()
+        self._join()
 
     def __enter__(self) -> Self:
         return self
@@ -163,6 +167,16 @@ class Session(InNotebooks, Generic[T]):
 
     def __repr__(self) -> str:
         return f"<etendue.Session {'running' if self.running else 'done'}: {self.progress}>"
+
+
+def take_over() -> None:
+    """Let this thread use device variables that another one has made, which has ended."""
+    if "mitsuba" in sys.modules:
+        import drjit as dr
+        import mitsuba as mi
+
+        if mi.variant() is not None:
+            dr.detail.new_scope(dr.backend_v(mi.Float))
 
 
 def jit_flags() -> dict[dr.JitFlag, bool]:
