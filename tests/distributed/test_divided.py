@@ -9,17 +9,18 @@ from support.workers import InProcess
 
 from etendue.core import OptionError, UnsupportedError
 from etendue.distributed import Cluster, ProcessPool
-from etendue.jobs import ParticleRequest, ParticleWork, run_work
+from etendue.engine import Budget, Job, Task
 from etendue.particles import BoxGrid, Particles
-from etendue.scene import bundled_scene, load, load_part, shape_boxes, unmerged
+from etendue.products import find, run_job
+from etendue.products.particles import ParticleProduct
+from etendue.scene import SceneSource, load, load_part, shape_boxes, unmerged
 
-PATHS = {"paths": 3000, "settings": {"samples_per_pass": 1500}, "seed": 4}
 
-
-def traced(scene, cluster=None, **options):
-    work = ParticleWork.open(ParticleRequest(scene=scene, **PATHS | options))
-    work.cluster = cluster
-    return run_work(work)
+def traced(scene, cluster=None, boxes=None, paths=3000, method="particles", **settings):
+    source, product = SceneSource(scene, merge=boxes is None), ParticleProduct(boxes=boxes)
+    settings = settings or {"samples_per_pass": 1500}
+    task = Task(source, find(method), product, settings, 4, Budget(samples=paths))
+    return run_job(lambda: Job.open(task), cluster=cluster)
 
 
 def equal(a: Particles, b: Particles) -> None:
@@ -52,7 +53,7 @@ def test_boxes_without_shapes_pass_paths_on(tmp_path):
     scene["eye"] = {"type": "perspective"}
     for name, place in (("a", -2.0), ("b", 2.0)):
         scene[name] = {"type": "sphere", "center": [place, place, 0.0], "radius": 1.9}
-    options = {"paths": 9000, "settings": {"samples_per_pass": 9000}}
+    options = {"paths": 9000, "samples_per_pass": 9000}
     parts = traced(scene, Cluster(InProcess(tmp_path)), boxes=(2, 2, 1), **options)
     equal(parts.particles, traced(scene, **options).particles)
 
@@ -124,12 +125,8 @@ def test_paths_in_strata_visit_boxes_together():
     grid = BoxGrid.even(shape_boxes(load("cornell-box", change=unmerged))[1], (4, 4, 4))
     found = {}
     for sampler in ("independent", "strata"):
-        made = ParticleWork.open(
-            ParticleRequest(
-                scene=bundled_scene("cornell-box"), paths=20_000, settings={"sampler": sampler, "keep": "first"}
-            )
-        )
-        found[sampler] = visits(run_work(made).particles, grid)
+        made = traced("cornell-box", paths=20_000, sampler=sampler, keep="first")
+        found[sampler] = visits(made.particles, grid)
     assert distinct_in_windows(np.array([1, 1, 2, 3, 3, 3]), 3).tolist() == [2, 1]
     assert lru_misses([1, 2, 1, 3, 2], 2) == 4
     windows = {name: distinct_in_windows(boxes, 64).mean() for name, boxes in found.items()}

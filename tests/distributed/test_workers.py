@@ -8,32 +8,35 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from etendue.jobs import Outputs, PictureWork, run_work, start_work
+from support.tasks import rendering
 
 import etendue
 from etendue.core import ClusterError, SceneError
 from etendue.distributed import Cluster, DaskPool, ProcessPool
-from etendue.engine import Budget, Checkpoint, Job, Replicated, Task
+from etendue.engine import Budget, Checkpoint, Job, Replicated
 from etendue.methods import get
+from etendue.products import Picture, run_job, start_job
 
 SMALL = {"scene": "caustics", "size": (24, 16)}
 PASSES = 40
 
 
-def task(method="path", passes=PASSES, settings=(("samples_per_pass", 1),)):
-    return Task(SMALL["scene"], get(method), dict(settings), 3, Budget(iterations=passes), SMALL["size"])
+def task(method="path", passes=PASSES, settings=(("samples_per_pass", 1),), checkpoint=None):
+    budget, product = Budget(iterations=passes), Picture.of(checkpoint=checkpoint)
+    return rendering(**SMALL, method=get(method), settings=dict(settings), seed=3, budget=budget, product=product)
 
 
-def rendered(job, cluster=None, outputs=None, watch=None):
-    return run_work(PictureWork(job, outputs or Outputs(), cluster), watch)
+def rendered(task, cluster=None, watch=None):
+    return run_job(lambda: Job.open(task), watch, cluster)
 
 
 @pytest.fixture(scope="module")
 def alone():
-    return rendered(Job.open(task()))
+    return rendered(task())
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +65,11 @@ def close(a, b):
 def test_the_picture_of_two_processes_is_that_of_one_and_a_kill_loses_nothing(alone, processes):
     source, killed = random.Random(1), []
 
-    def watch(progress, runner):
-        if not killed and progress.passes >= 3:
+    def watch(update):
+        if not killed and update.progress.passes >= 3:
             killed.append(kill_one(processes.pool, source))
 
-    made = rendered(Job.open(task()), processes, watch=watch)
+    made = rendered(task(), processes, watch)
     assert killed == [True]
     close(made.image, alone.image)
     assert made.metadata["passes"] == PASSES
@@ -75,15 +78,13 @@ def test_the_picture_of_two_processes_is_that_of_one_and_a_kill_loses_nothing(al
 
 @pytest.mark.slow
 def test_replicas_in_processes_are_those_in_turn_and_are_resumed(processes, tmp_path):
-    job = Job.open(task("guided", 7))
-    made = rendered(job, processes, Outputs(checkpoint=tmp_path / "half.checkpoint"))
+    made = rendered(task("guided", 7, checkpoint=tmp_path / "half.checkpoint"), processes)
     assert made.metadata["replicas"] == 2
     saved = Checkpoint.read(tmp_path / "half.checkpoint")
     assert saved.measurement.iterations.to_json() == [[0, 0, 4], [1, 0, 3]]
-    more = Budget(iterations=11)
-    here = rendered(Job.resume(saved, get("guided"), budget=more))
+    here = run_job(lambda: Job.resume(saved, task("guided", 11)))
     saved = Checkpoint.read(tmp_path / "half.checkpoint")
-    there = rendered(Job.resume(saved, get("guided"), budget=more), processes)
+    there = run_job(lambda: Job.resume(saved, task("guided", 11)), cluster=processes)
     close(here.image, there.image)
     assert here.metadata["passes"] == there.metadata["passes"] == 11
 
@@ -92,10 +93,10 @@ def test_replicas_in_processes_are_those_in_turn_and_are_resumed(processes, tmp_
 def test_chains_in_processes_are_those_in_turn(processes):
     """Their states come back from the workers."""
     small = {"samples_per_pass": 16, "bootstrap": 1 << 12}
-    there = rendered(Job.open(task("mmlt", 5, small)), processes)
-    here = Job.open(task("mmlt", 5, small))
-    here.method = Replicated(here.method, here.problem, here.seed, 2)
-    here = rendered(here)
+    there = rendered(task("mmlt", 5, small), processes)
+    job = Job.open(task("mmlt", 5, small))
+    job.method = Replicated(job.method, job.problem, job.seed, 2)
+    here = run_job(lambda: job)
     assert there.metadata["replicas"] == here.metadata["replicas"] == 2
     np.testing.assert_allclose(there.image, here.image, rtol=1e-3, atol=1e-5)
 
@@ -105,16 +106,16 @@ def test_a_scene_in_memory_is_refused(processes):
 
     scene = mi.load_dict(mi.cornell_box())
     with pytest.raises(SceneError, match="a scene in memory cannot be sent to workers"):
-        rendered(Job.open(Task(scene, get("path"), budget=Budget(iterations=1))), processes)
+        rendered(rendering(scene, get("path"), budget=Budget(iterations=1)), processes)
 
 
-def test_what_a_session_has_opened_is_closed_also_if_its_work_fails():
+def test_what_a_session_has_opened_is_closed_also_if_its_job_fails():
     ended = []
 
     def fail():
         raise SceneError("no such scene")
 
-    session = start_work(fail, at_end=lambda: ended.append(True))
+    session = start_job(fail, at_end=lambda: ended.append(True))
     with pytest.raises(SceneError, match="no such scene"):
         session.wait()
     assert ended == [True]
@@ -133,9 +134,9 @@ def test_sessions_have_workers_of_their_own(alone):
 
 @pytest.mark.slow
 def test_time_holds_for_the_sum(processes):
-    job = Job.open(Task(SMALL["scene"], get("path"), {"samples_per_pass": 1}, 3, Budget(seconds=4), SMALL["size"]))
+    made_of = replace(task(), budget=Budget(seconds=4))
     begin = time.perf_counter()
-    made = rendered(job, processes)
+    made = rendered(made_of, processes)
     assert 3.0 < time.perf_counter() - begin < 6.0
     assert made.metadata["stopped_by"] == "seconds"
     assert made.metadata["passes"] > 1
@@ -182,14 +183,14 @@ def test_fifty_kills_lose_nothing(monkeypatch):
     monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
     source, kills = random.Random(7), [0]
     passes = 120  # some find no worker to kill
-    expected = rendered(Job.open(task(passes=passes)))
+    expected = rendered(task(passes=passes))
 
-    def watch(progress, runner):
+    def watch(update):
         if kills[0] < 50:
             kills[0] += kill_one(cluster.pool, source)
 
     with Cluster(DaskPool(workers=2, threads=2)) as cluster:
-        made = rendered(Job.open(task(passes=passes)), cluster, watch=watch)
+        made = rendered(task(passes=passes), cluster, watch)
     assert kills[0] == 50
     assert made.metadata["passes"] == passes
     assert made.metadata["rays"] == expected.metadata["rays"]
@@ -208,14 +209,14 @@ def test_sums_that_are_merged_among_workers_lose_nothing(monkeypatch):
     monkeypatch.setattr(dask.DaskPool, "_fetch", lambda pool, bundle: time.sleep(0.3) or fetch(pool, bundle))
     monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
     source, kills = random.Random(5), [0]
-    expected = rendered(Job.open(task(passes=60)))
+    expected = rendered(task(passes=60))
 
-    def watch(progress, runner):
-        if kills[0] < 4 and progress.passes > 10 * kills[0]:
+    def watch(update):
+        if kills[0] < 4 and update.progress.passes > 10 * kills[0]:
             kills[0] += kill_one(cluster.pool, source)
 
     with Cluster(DaskPool(workers=3, threads=3)) as cluster:
-        made = rendered(Job.open(task(passes=60)), cluster, watch=watch)
+        made = rendered(task(passes=60), cluster, watch)
         assert cluster.pool._gathering.merges > 0
     assert made.metadata["passes"] == 60
     assert made.metadata["rays"] == expected.metadata["rays"]

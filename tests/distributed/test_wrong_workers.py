@@ -10,23 +10,23 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from support.tasks import rendering
 
 from etendue.core import ClusterError
 from etendue.distributed import Cluster, DaskPool
-from etendue.engine import Budget, Checkpoint, Job, RunError, Task
-from etendue.jobs import Outputs, PictureWork, run_work
+from etendue.engine import Budget, Checkpoint, Job, RunError
 from etendue.methods import get
+from etendue.products import Picture, run_job
 
 pytestmark = pytest.mark.slow
 distributed = pytest.importorskip("distributed")
 
 
-def job(passes=6, **budget):
-    return Job.open(Task("cornell-box", get("path"), {"samples_per_pass": 1}, 3, Budget(iterations=passes), (16, 16)))
-
-
-def rendered(cluster, **options):
-    return run_work(PictureWork(job(), Outputs(**options), cluster))
+def rendered(cluster, budget=None, checkpoint=None, watch=None):
+    settings, product = {"samples_per_pass": 1}, Picture.of(checkpoint=checkpoint)
+    budget = budget or Budget(iterations=6)
+    task = rendering("cornell-box", get("path"), settings, 3, budget, product, size=(16, 16))
+    return run_job(lambda: Job.open(task), watch, cluster)
 
 
 # -- run in a worker ---------------------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ def full_disk(folder):
     ],
 )
 def test_a_worker_that_cannot_be_used_is_left_out_and_the_other_goes_on(spoil, arguments, message, tmp_path, caplog):
-    alone = run_work(PictureWork(job(), Outputs(), None))
+    alone = rendered(None)
     with Cluster(DaskPool(workers=2, threads=2)) as cluster:
         pool = cluster.pool
         while len(names := sorted(pool.workers())) < 2:
@@ -143,13 +143,12 @@ def test_a_scheduler_that_ends_loses_nothing_that_was_merged(tmp_path):
             time.sleep(0.1)
         with Cluster(DaskPool(json.loads(text)["address"])) as cluster:
 
-            def watch(progress, runner):
-                if progress.passes >= 3:
+            def watch(update):
+                if update.progress.passes >= 3:
                     scheduler.send_signal(signal.SIGKILL)
 
-            endless = Task("cornell-box", get("path"), {"samples_per_pass": 1}, 3, Budget(seconds=120), (16, 16))
             with pytest.raises(RunError, match=r"no longer answers.* \(after \d+ passes, which are kept\)"):
-                run_work(PictureWork(Job.open(endless), Outputs(checkpoint=checkpoint), cluster), watch)
+                rendered(cluster, Budget(seconds=120), checkpoint, watch)
         assert len(Checkpoint.read(checkpoint).measurement.iterations) >= 3
     finally:
         for process in (scheduler, worker):

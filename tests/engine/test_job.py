@@ -79,7 +79,7 @@ def test_a_product_without_a_budget_has_its_own_and_a_resumed_one_goes_on_bit_eq
     part.checkpoint(part.runner().run()).write(tmp_path / "a")
     saved = Checkpoint.read(tmp_path / "a")
     assert saved.notes == {"colour": "grey"} and saved.scene == {"source": "fog"} and saved.fingerprint == "grey"
-    again = Job.resume(saved, Task(Source(), kind, Mean(), budget=Budget(iterations=3)))
+    again = Job.resume(saved, Task(Source(), kind, Mean(), {}, 7, Budget(iterations=3)))
     assert again.method.settings == job.method.settings and again.product.calls == ["check", "make", "prepared"]
     resumed = again.runner().run()
     assert again.product.finish(again, resumed) == whole

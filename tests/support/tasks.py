@@ -10,7 +10,14 @@ from etendue.scene import SceneSource
 
 
 def rendering(
-    scene: Any, method: type[Any], settings: Any = None, seed: int = 0, budget: Budget | None = None, **source: Any
+    scene: Any,
+    method: type[Any],
+    settings: Any = None,
+    seed: int = 0,
+    budget: Budget | None = None,
+    product: Picture | None = None,
+    **source: Any,
 ) -> Task:
-    """The task of a picture without files; ``source``: further arguments of :class:`SceneSource`, such as ``size``."""
-    return picture_task(SceneSource(scene, **source), method, Picture(), settings, seed, budget)
+    """The task of a picture, without files unless a ``product`` has some; ``source``: further arguments of
+    :class:`SceneSource`, such as ``size``."""
+    return picture_task(SceneSource(scene, **source), method, product or Picture(), settings, seed, budget)

@@ -7,11 +7,12 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from etendue.core import Iterations
+from etendue.core import Iterations, OptionError
 from etendue.engine import Job, MakeExecutor, Replicated
 
 from .dask import DaskPool
 from .pool import Pool
+from .processes import ProcessPool
 from .recipe import recipe
 from .spread import Spread
 
@@ -72,4 +73,9 @@ def open_cluster(cluster: Any = None, workers: int | None = None, threads: int |
     """As :func:`opened_cluster`; the caller closes it."""
     if cluster is None and workers is None:
         return None
-    return Cluster(DaskPool(cluster, workers=workers, threads=threads))
+    if cluster is None:
+        assert workers is not None
+        return Cluster(ProcessPool(workers, None if threads is None else max(1, threads // workers)))
+    if workers is not None:
+        raise OptionError("workers are processes of this machine, a cluster has its own: give one of them")
+    return Cluster(DaskPool(cluster))

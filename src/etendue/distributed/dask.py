@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from etendue.core import ClusterError, EtendueError, OptionError, describe, is_whole, library, logger
+from etendue.core import ClusterError, EtendueError, OptionError, describe, library, logger
 
 from .content import Offered
 from .gathering import Bundle, Gathering, held_by_others
@@ -40,21 +40,15 @@ def dask() -> Any:
 class DaskPool:
     """Workers of Dask; implements :class:`Pool`.
 
-    cluster: the address of a scheduler, or a ``distributed.Client``, which stays open. workers: number of processes of
-    a local cluster instead, which share the threads of this process (or ``threads``), and which :meth:`close` ends.
+    cluster: the address of a scheduler, or a ``distributed.Client``, which stays open.
 
     Raises :class:`ClusterError` if nothing answers, or if no worker comes.
     """
 
-    def __init__(self, cluster: Any = None, *, workers: int | None = None, threads: int | None = None) -> None:
+    def __init__(self, cluster: Any) -> None:
         self._distributed = dask()
-        self._local: Any = None
         self._owns_client = True
-        if (cluster is None) == (workers is None):
-            raise OptionError("a cluster is given by its address or client, or by a number of workers of its own")
-        if workers is not None:
-            self._client, self.name = self._start(workers, threads), f"{workers} local workers"
-        elif isinstance(cluster, str):
+        if isinstance(cluster, str):
             self._client, self.name = self._connect(cluster), cluster
         elif isinstance(cluster, self._distributed.Client):
             self._client, self._owns_client = cluster, False
@@ -82,7 +76,7 @@ class DaskPool:
         self._told: set[str] = set()
         self._unknown: set[str] = set()  # those that have not answered
         self._listed = -1.0
-        self._wait_for_workers(workers or 1)
+        self._wait_for_workers()
 
     # ------------------------------------------------------------------ a pool
 
@@ -273,49 +267,13 @@ class DaskPool:
             self._client.cancel(futures, force=True)
 
     def close(self) -> None:
-        """End the workers that were started here."""
+        """Leave the cluster."""
         self._futures.clear()
         self._helpers.shutdown(wait=False, cancel_futures=True)
         if self._owns_client:
             self._client.close(timeout=5)
-        if self._local is not None:
-            self._local.close(timeout=10)
 
     # ------------------------------------------------------------------ inside
-
-    def _start(self, workers: int, threads: int | None) -> Any:
-        """A local cluster, reachable from this machine only."""
-        if not is_whole(workers) or not 1 <= workers <= 1024:
-            raise OptionError(f"the number of workers is a whole number from 1 to 1024, not {workers!r}")
-        import dask as settings
-        import drjit as dr
-
-        each = max(1, (threads or dr.thread_count()) // workers)
-        # A killed worker is not the fault of its chunk; the executor counts lost workers.
-        settings.config.set(
-            {
-                "distributed.scheduler.allowed-failures": 1000,
-                # Dask would give up a worker that restarts slowly on a loaded machine.
-                "distributed.deploy.lost-worker-timeout": "1 day",
-            }
-        )
-        try:
-            self._local = self._distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=each,
-                processes=True,
-                host="127.0.0.1",
-                scheduler_port=0,
-                dashboard_address="127.0.0.1:0",
-                memory_limit=0,
-                silence_logs=logging.CRITICAL,
-            )
-        except Exception as error:
-            raise ClusterError(
-                f"local workers cannot be started ({_short(error)}); in a script, call étendue below "
-                "`if __name__ == '__main__':`"
-            ) from error
-        return self._distributed.Client(self._local, set_as_default=False, direct_to_workers=True)
 
     def _connect(self, address: str) -> Any:
         if address.startswith("tls:"):
@@ -332,15 +290,15 @@ class DaskPool:
                 f"no scheduler answers at '{address}' ({_short(error)}); start one by: dask scheduler"
             ) from error
 
-    def _wait_for_workers(self, count: int) -> None:
-        """Wait for ``count`` workers, and for all others that are present: a method whose passes depend on each other
-        has a replica for each."""
-        begin, patience = time.monotonic(), _OTHERS if self._local is None else _FIRST_WORKER
+    def _wait_for_workers(self) -> None:
+        """Wait for a worker, and for all others that are present: a method whose passes depend on each other has a
+        replica for each."""
+        begin = time.monotonic()
         while True:
             self._listed = -1.0
             found, waited = len(self.workers()), time.monotonic() - begin
-            is_known = not self._unknown and found + len(self._bad) >= count
-            if found and (is_known or waited > patience):
+            is_known = not self._unknown and bool(found + len(self._bad))
+            if found and (is_known or waited > _OTHERS):
                 return
             if self._bad and (is_known or waited > _FIRST_WORKER):
                 name, why = next(iter(self._bad.items()))
@@ -355,7 +313,7 @@ class DaskPool:
         """Ask new workers whether they can be used, without waiting: a worker that has just ended may never answer."""
         for name in there:
             if name not in self.pids and name not in self._bad and name not in self._greetings:
-                ask = partial(self._client.run, introduce, self._local is not None, workers=[name], on_error="return")
+                ask = partial(self._client.run, introduce, workers=[name], on_error="return")
                 self._greetings[name] = self._helpers.submit(ask)
         for name in [name for name, answer in self._greetings.items() if answer.done()]:
             asked = self._greetings.pop(name)

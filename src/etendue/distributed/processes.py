@@ -6,31 +6,49 @@ import itertools
 import multiprocessing
 import os
 import queue
+import sys
 import threading
+from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any
 
-from etendue.core import EtendueError, describe
+from etendue.core import ClusterError, EtendueError, OptionError, describe, is_whole
 
 from .content import Offered, Store
 from .pool import Arrival, Delivered, Lost
 from .worker import Task, ends_by, introduce, make_passes
 
+#: Seconds to wait for the first answer of a process.
+_FIRST_ANSWER = 60.0
+
 
 class ProcessPool:
-    """``count`` processes with ``threads`` Dr.Jit threads each; implements :class:`Pool`. A process that ends is
-    replaced."""
+    """``count`` processes with ``threads`` Dr.Jit threads each, by default shares of those of this process; implements
+    :class:`Pool`. A process that ends is replaced. Processes do not run the script that started this one, so it needs
+    no ``if __name__ == "__main__"``.
+
+    Raises :class:`OptionError` for another number of processes, :class:`ClusterError` if they cannot be started.
+    """
 
     def __init__(self, count: int, threads: int | None = None) -> None:
+        if not is_whole(count) or not 1 <= count <= 1024:
+            raise OptionError(f"the number of workers is a whole number from 1 to 1024, not {count!r}")
+        if threads is None:
+            import drjit as dr
+
+            threads = max(1, dr.thread_count() // count)
         self._context: Any = multiprocessing.get_context("spawn")
         self._ended = self._context.Value("Q", 0)
         self._threads, self._numbers = threads, itertools.count(1)
         self._processes: dict[str, ProcessPoolExecutor] = {}
         self._futures: dict[int, Future[Any]] = {}
         self._done: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
-        for _ in range(count):
-            self._start()
+        #: Process ids by name.
+        self.pids: dict[str, int] = {}
+        for started in [self._start() for _ in range(count)]:
+            self._greet(*started)
 
     def workers(self) -> dict[str, int | None]:
         """See :class:`Pool`."""
@@ -60,7 +78,8 @@ class ProcessPool:
         except Exception as error:
             if isinstance(error, BrokenProcessPool) and worker in self._processes:
                 self._processes.pop(worker).shutdown(wait=False)
-                self._start()
+                self.pids.pop(worker, None)
+                self._greet(*self._start())
             return Arrival(ticket, Lost(describe(error)))
 
     def deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
@@ -96,10 +115,36 @@ class ProcessPool:
             process.shutdown(wait=True, cancel_futures=True)
         self._processes.clear()
 
-    def _start(self) -> None:
-        process = ProcessPoolExecutor(1, self._context, initializer=_begin, initargs=(self._ended,))
-        process.submit(introduce, True)  # starts it
-        self._processes[f"process {next(self._numbers)}"] = process
+    def _start(self) -> tuple[str, Future[Any]]:
+        """Start a process; its name and its answer."""
+        process, name = (
+            ProcessPoolExecutor(1, self._context, initializer=_begin, initargs=(self._ended,)),
+            f"process {next(self._numbers)}",
+        )
+        self._processes[name] = process
+        with _without_script():
+            return name, process.submit(introduce, True)  # starts it
+
+    def _greet(self, name: str, answer: Future[Any]) -> None:
+        try:
+            self.pids[name] = answer.result(_FIRST_ANSWER)["pid"]
+        except Exception as error:
+            self.close()
+            raise ClusterError(f"worker processes cannot be started: {describe(error)}") from error
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Keep ``multiprocessing`` from running the script of this process in those that it starts: what workers need is in
+    modules, see :func:`.recipe`."""
+    main = sys.modules["__main__"]
+    known: dict[str, Any] = {name: vars(main)[name] for name in ("__file__", "__spec__") if name in vars(main)}
+    try:
+        main.__spec__ = None
+        vars(main).pop("__file__", None)
+        yield
+    finally:
+        vars(main).update(known)
 
 
 def _begin(ended: Any) -> None:

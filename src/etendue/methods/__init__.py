@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 from .adaptive.stratified import StratifiedPath as StratifiedPath
 from .adaptive.vegas import VegasPath as VegasPath
 from .auto import Auto as Auto
@@ -16,9 +13,17 @@ from .base import (
     total as total,
 )
 from .bidirectional import Bidirectional as Bidirectional, Bpm as Bpm, Bpt as Bpt, Vcm as Vcm
+from .box_tracing import (
+    box_arguments as box_arguments,
+    check_divisible as check_divisible,
+    gathered as gathered,
+    make_box_tracing as make_box_tracing,
+)
 from .guided import Guided as Guided
 from .light import LightTracing as LightTracing
 from .metropolis.filmchains import FilmMetropolis as FilmMetropolis
+from .metropolis.particles import MetropolisParticles as MetropolisParticles
+from .particles import ParticleTracing as ParticleTracing
 from .path import Path as Path
 from .photon.hits import photon_hits as photon_hits
 from .photon.map import Pm as Pm
@@ -30,29 +35,3 @@ from .rays import (
     rays_through as rays_through,
 )
 from .registry import by_plugin as by_plugin, get as get, register as register, table as table
-
-if TYPE_CHECKING:
-    from .box_tracing import (
-        box_arguments as box_arguments,
-        check_divisible as check_divisible,
-        gathered as gathered,
-        make_box_tracing as make_box_tracing,
-    )
-    from .metropolis.particles import MetropolisParticles as MetropolisParticles
-    from .particles import ParticleTracing as ParticleTracing
-else:
-    #: Modules of methods that make no picture; imported when one of their names is used.
-    _LATER = {
-        "MetropolisParticles": "metropolis.particles",
-        "ParticleTracing": "particles",
-        "box_arguments": "box_tracing",
-        "check_divisible": "box_tracing",
-        "gathered": "box_tracing",
-        "make_box_tracing": "box_tracing",
-    }
-
-    def __getattr__(name):
-        """See :data:`_LATER`."""
-        if name in _LATER:
-            return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
