@@ -124,8 +124,16 @@ def test_callback_sees_the_picture_and_may_stop(kind):
         (etendue.view, {"sessor": 4}, "method 'auto' has no option 'sessor'; did you mean 'sensor'?"),
         (etendue.trace_particles, {"pahts": 4}, "tracing by particles has no option 'pahts'; did you mean 'paths'?"),
         (etendue.trace_particles, {"samples": 1}, "there is no argument 'samples'; did you mean 'paths'?"),
-        (etendue.compute_form_factors, {"bundels": 1}, "method 'lines' has no option 'bundels'; did you mean 'bundles'?"),
-        (etendue.solve_radiosity, {"grit": 1}, "method 'lines' has no option 'grit'; did you mean 'grid'?"),
+        (
+            etendue.compute_form_factors,
+            {"bundels": 1},
+            "method 'lines' has no option 'bundels'; did you mean 'bundles'?",
+        ),
+        (
+            etendue.solve_radiosity,
+            {"method": "boxes", "grit": 1},
+            "method 'boxes' has no option 'grit'; did you mean 'grid'?",
+        ),
     ],
 )
 def test_a_misspelt_argument_is_told_from_a_setting(call, given, text):
@@ -244,7 +252,7 @@ def test_a_picture_that_cannot_be_written_is_kept_as_arrays(tmp_path, temporary,
 
 
 def test_a_picture_that_cannot_be_developed_is_kept_as_a_checkpoint(tmp_path, temporary, monkeypatch):
-    monkeypatch.setattr(Job, "result", lambda job, run: 1 / 0)
+    monkeypatch.setattr("etendue.products.pictures.developed", lambda job, run: 1 / 0)
     with pytest.raises(
         OutputError, match=r"cannot develop the picture: ZeroDivisionError: .*; the checkpoint"
     ) as caught:

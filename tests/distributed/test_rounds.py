@@ -10,12 +10,13 @@ import pytest
 from support.workers import InProcess
 
 import etendue
-from etendue.cli.main import main
 from etendue.core import OptionError
 from etendue.distributed import Cluster, DaskPool, ProcessPool, rounds as rounds_module
 from etendue.distributed.talking import Talk
 from etendue.distributed.worker import Failed, Needs, _Desk, _Run
-from etendue.jobs import HierarchyRequest, HierarchyWork, run_work
+from etendue.engine import Job
+from etendue.products import run_job, saved_task
+from etendue.products.patches import SolutionRun
 from etendue.radiosity import (
     DividedMultipath,
     HierarchicalMultipathSettings,
@@ -67,12 +68,13 @@ def hall(lamp_inside=False, sky=0.0):
     return Part(room, copies)
 
 
-def solved(source, cluster=None, divide=True, settings=None, **options):
-    asked = {"bundles": 2, "seed": 3} | options
-    request = HierarchyRequest(source=source, hierarchy=SETTINGS | (settings or {}), divide=divide, **asked)
-    work = HierarchyWork(request)
-    work.cluster = cluster
-    return run_work(work)
+def opened(source, divide=True, settings=None, passes=2):
+    asked = {"settings": SETTINGS | (settings or {}), "limits": {"passes": passes}, "seed": 3}
+    return Job.open(SolutionRun(source=source, method="boxes", divide=divide, **asked).task())
+
+
+def solved(source, cluster=None, divide=True, settings=None, passes=2):
+    return run_job(lambda: opened(source, divide, settings, passes), cluster=cluster)
 
 
 def equal(a, b):
@@ -177,7 +179,7 @@ def test_boxes_on_workers_give_the_bits_of_one_process(alone, workers, tmp_path)
         ({"shot": 0.0}, {"lamp_inside": True}),
         ({}, {"lamp_inside": True}),
         ({"iterations": 1, "residual": 0.0}, {}),
-        ({"points": "halton", "generator": "sphere-pairs", "lines": 1 << 14}, {}),
+        ({"point_set": "halton", "generator": "sphere-pairs", "lines": 1 << 14}, {}),
     ],
 )
 def test_light_of_boxes_lines_and_shots(settings, scene, tmp_path):
@@ -242,10 +244,10 @@ def test_workers_that_join_take_boxes_at_the_next_pass(alone, tmp_path):
 
     from etendue.distributed import crew
 
-    whole = solved(hall(), divide=False, bundles=4)
+    whole = solved(hall(), divide=False, passes=4)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(crew, "_LOOK", 0.0)
-        parts = solved(hall(), Cluster(Growing(tmp_path, 1)), bundles=4)
+        parts = solved(hall(), Cluster(Growing(tmp_path, 1)), passes=4)
     equal(parts, whole)
     assert len(parts.correspondence.workers) == 2 and parts.correspondence.begun_anew == 0
 
@@ -260,40 +262,30 @@ def test_a_worker_that_is_left_out_gets_no_boxes(alone, tmp_path, caplog):
 
 
 def test_a_checkpoint_goes_on_with_workers_or_without(tmp_path):
-    patches = hall().joined()
-    asked = {"hierarchy": {"objects": "components", "least": 1, "threshold": 0.3, "lines": 1 << 10}, "seed": 5}
-    path = tmp_path / "a.checkpoint"
-    whole = etendue.solve_radiosity(patches, bundles=3, **asked)
+    patches, path = hall().joined(), tmp_path / "a.checkpoint"
+    groups = {"objects": "components", "least": 1, "threshold": 0.3}
+    whole = etendue.solve_radiosity(patches, "boxes", passes=3, lines=1 << 10, seed=5, **groups)
 
-    def resumed(source, cluster, divide, **more):
-        from etendue.engine import Checkpoint
+    def resumed(passes, cluster=None):
+        task, saved = saved_task(path, scene=patches, limits={"passes": passes})
+        return run_job(lambda: Job.resume(saved, task), cluster=cluster)
 
-        saved = Checkpoint.read(path) if more.pop("resume", False) else None
-        grouping = {"objects": "components", "groups": {"least": 1, "threshold": 0.3}}
-        request = HierarchyRequest(
-            source=source, hierarchy={"lines": 1 << 10}, divide=divide, seed=5, **grouping, **more
-        )
-        work = HierarchyWork(request, saved)
-        work.cluster = cluster
-        return run_work(work)
-
-    resumed(patches, Cluster(InProcess(tmp_path / "b")), True, bundles=1, checkpoint=path)
-    rest = resumed(patches, None, False, bundles=2, checkpoint=path, resume=True)
-    assert rest.passes == 2
-    rest = resumed(patches, Cluster(InProcess(tmp_path / "c")), True, bundles=3, resume=True)
+    asked = {"objects": groups.pop("objects"), "groups": groups, "settings": {"lines": 1 << 10}, "seed": 5}
+    first = SolutionRun(source=patches, method="boxes", limits={"passes": 1}, divide=True, checkpoint=path, **asked)
+    run_job(lambda: Job.open(first.task()), cluster=Cluster(InProcess(tmp_path / "b")))
+    assert resumed(2).passes == 2
+    rest = resumed(3, Cluster(InProcess(tmp_path / "c")))
+    assert rest.correspondence.sent > 0
     np.testing.assert_array_equal(rest.solution.radiosity, whole.solution.radiosity)
 
 
 def test_a_run_that_is_cancelled_has_whole_passes(alone, tmp_path):
     """The pass under way is finished, as in one process."""
-    asked = {"bundles": 50, "seed": 3, "source": hall(), "hierarchy": SETTINGS}
-    work = HierarchyWork(HierarchyRequest(**asked, divide=True))
-    work.cluster = Cluster(InProcess(tmp_path))
-    runner = work.runner(cancel=_After(12))
-    run = runner.run()
+    job = opened(hall(), passes=50)
+    run = job.runner(job.product.divided(job, Cluster(InProcess(tmp_path))), cancel=_After(12)).run()
     assert run.stopped_by == "cancel" and 1 <= run.passes < 50
-    whole = solved(hall(), divide=False, bundles=run.passes)
-    np.testing.assert_array_equal(work.finish(run).parts.received, whole.parts.received)
+    whole = solved(hall(), divide=False, passes=run.passes)
+    np.testing.assert_array_equal(job.product.finish(job, run).parts.received, whole.parts.received)
 
 
 class _After:
@@ -376,28 +368,16 @@ def test_too_few_lines_are_told_by_the_worker(tmp_path):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"workers": 2}, "give hierarchy=, too"),
-        ({"hierarchy": True}, "give workers= or cluster= with divide="),
-        ({"hierarchy": True, "workers": 2, "divide": "yes"}, "divide= is True or False"),
+        ({"workers": 2}, "divide puts boxes on workers: give method boxes, too"),
+        ({"method": "boxes"}, "boxes are divided among workers: give workers or cluster with divide"),
     ],
 )
 def test_bad_options_are_one_line(asked, message):
-    with pytest.raises(OptionError, match=message) as error:
-        etendue.solve_radiosity(hall(), bundles=1, **{"divide": True} | asked)
-    assert "\n" not in str(error.value)
+    with pytest.raises(OptionError) as error:
+        etendue.solve_radiosity(hall(), divide=True, **asked)
+    assert str(error.value) == message
 
 
 def test_a_scene_without_boxes_is_refused(tmp_path):
     with pytest.raises(RadiosityError, match="has no boxes that could be on different workers"):
         solved(Part(hall().patches), Cluster(InProcess(tmp_path)))
-
-
-def test_the_command_refuses(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for words, message in (
-        ("--divide --workers 2", "give --hierarchy, too"),
-        ("--hierarchy --divide", "give --workers or --cluster with --divide"),
-        ("--hierarchy --divide --workers 2 --max-area 0.2", "has no boxes that could be on different workers"),
-    ):
-        assert main(["radiosity", "cornell-box", *words.split(), "-o", "a.npz"]) == 2
-        assert message in " ".join(capsys.readouterr().err.split())
