@@ -5,7 +5,7 @@ from __future__ import annotations
 import meshio
 import numpy as np
 import pytest
-from support.patches import cube
+from support.patches import cube, room
 
 import etendue
 from etendue.core import CheckpointError, OptionError, OutputError, SceneError
@@ -24,18 +24,26 @@ from etendue.radiosity import (
 LIT = {"reflectance": 0.5, "emission": np.repeat([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], 4)}
 
 
+def lit_room():
+    """A room with four boxes, light from one wall."""
+    patches = room(2)
+    emission = np.zeros(len(patches))
+    emission[4:8] = 1.0
+    return room(2, reflectance=0.5, emission=emission)
+
+
 def test_form_factors_of_patches(tmp_path):
     calls = []
     patches = cube(2)
     result = etendue.compute_form_factors(
-        patches, "F1", bundles=64, seed=3, callback=calls.append, save=tmp_path / "factors.npz"
+        patches, bundles=64, seed=3, callback=lambda update: calls.append(update.progress), save=tmp_path / "f.npz"
     )
     assert (result.bundles, result.stopped_by, result.patches) == (64, "samples", patches)
     assert [progress.samples for progress in calls] == list(range(8, 65, 8))
     np.testing.assert_allclose(result.factors.row_sums(), 1.0, atol=1e-9)
     opposite = result.factors.matrix[:4, 4:8].sum(axis=1)  # of walls of a cube that face each other, 0.19982
     assert abs(opposite.mean() - 0.19982) < 4.0 * opposite.std(ddof=1) / 2.0 < 0.04
-    read = read_form_factors(tmp_path / "factors.npz")
+    read = read_form_factors(tmp_path / "f.npz")
     np.testing.assert_array_equal(read.matrix.toarray(), result.factors.matrix.toarray())
 
 
@@ -66,8 +74,24 @@ def test_a_solution_is_that_of_its_parts(tmp_path):
 @pytest.mark.parametrize("solver", ["jacobi", "southwell", "direct"])
 def test_solvers_agree(solver):
     patches = cube(2, **LIT)
-    found = etendue.solve_radiosity(patches, solver, bundles=256).solution.radiosity
+    found = etendue.solve_radiosity(patches, solver=solver, bundles=256).solution.radiosity
     assert found == pytest.approx(etendue.solve_radiosity(patches, bundles=256).solution.radiosity, rel=0.02)
+
+
+def test_methods_agree():
+    """Lines that are stored, single lines, and boxes around the objects, within their errors."""
+    patches = lit_room()
+    found = [
+        etendue.solve_radiosity(patches, bundles=1024),
+        etendue.solve_radiosity(patches, "multipath", points=1 << 17, point_set="halton"),
+        etendue.solve_radiosity(patches, "boxes", passes=8, objects="components", threshold=0.1, grid=6),
+    ]
+    assert [(one.bundles, one.points, one.passes) for one in found] == [(1024, 0, 0), (0, 1 << 17, 0), (0, 0, 8)]
+    assert found[2].parts is not None and len(found[2].parts.tree.copies) >= 0
+    for one in found[1:]:
+        light, expected = (r.solution.radiosity[:, 0] * patches.areas for r in (one, found[0]))
+        assert light.sum() == pytest.approx(expected.sum(), rel=0.02)
+        assert np.abs(light - expected).sum() / expected.sum() < 0.05
 
 
 def test_a_scene_is_cut_into_patches():
@@ -83,59 +107,97 @@ def test_a_budget_in_error():
     assert (result.patches.areas[:, None] * result.irradiance_error).sum() / light == pytest.approx(0.02, rel=0.5)
 
 
+def test_of_independent_sequences_the_error_is_that_which_is_made():
+    """It is neither an upper estimate, as of one sequence, nor too small."""
+    patches = lit_room()
+    exact = etendue.solve_radiosity(patches, bundles=1 << 14, seed=99, shot=False).solution.irradiance
+    ratios = []
+    for seed in range(6):
+        made = etendue.solve_radiosity(patches, bundles=128, replicates=8, seed=seed, shot=False)
+        ratios.append(((made.solution.irradiance - exact) ** 2).sum() / (made.irradiance_error**2).sum())
+    print(ratios)
+    assert 0.5 < np.mean(ratios) < 2.0
+
+
 def test_a_callback_stops_and_a_checkpoint_goes_on(tmp_path):
     patches, kept = cube(2, **LIT), tmp_path / "lines.checkpoint"
     whole = etendue.solve_radiosity(patches, bundles=64, seed=2)
     half = etendue.solve_radiosity(
-        patches, bundles=64, seed=2, callback=lambda progress: progress.samples < 24, checkpoint=kept
+        patches, bundles=64, seed=2, callback=lambda update: update.progress.samples < 24, checkpoint=kept
     )
     assert (half.bundles, half.stopped_by) == (24, "cancel")
-    rest = etendue.solve_radiosity(cube(2, **LIT), seed=2, resume=kept)
+    with pytest.raises(CheckpointError, match="in memory"):
+        etendue.resume(kept)
+    rest = etendue.resume(kept, scene=cube(2, **LIT))
     assert rest.bundles == 64
     np.testing.assert_array_equal(rest.solution.radiosity, whole.solution.radiosity)
-    with pytest.raises(CheckpointError):
-        etendue.solve_radiosity(cube(1, **LIT | {"emission": 1.0}), seed=2, resume=kept, bundles=64)
+    with pytest.raises(CheckpointError, match="not the one"):
+        etendue.resume(kept, scene=cube(1, **LIT | {"emission": 1.0}), bundles=96)
 
 
 def test_what_was_cast_before_a_failure_is_kept(tmp_path):
-    def fail(progress):
-        if progress.samples == 24:
+    def fail(update):
+        if update.progress.samples == 24:
             raise RuntimeError("on purpose")
 
     kept = tmp_path / "lines.checkpoint"
     with pytest.raises(RunError, match="on purpose"):
         etendue.compute_form_factors(cube(1), bundles=64, callback=fail, checkpoint=kept)
-    assert etendue.compute_form_factors(cube(1), resume=kept, bundles=32).bundles == 32
+    assert etendue.resume(kept, scene=cube(1), bundles=32).bundles == 32
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_lines_of_which_nothing_can_be_made_are_kept(named, tmp_path, monkeypatch):
+def test_lines_of_which_nothing_can_be_made_are_kept(named, tmp_path):
     """The folder goes while lines are cast."""
     folder = tmp_path / "out"
     folder.mkdir()
     options = {"checkpoint": tmp_path / "lines.checkpoint"} if named else {}
 
-    def go(progress):
+    def go(update):
         if folder.exists():
             folder.rmdir()
 
-    with pytest.raises(OutputError, match=r"the lines are kept: resume='") as caught:
+    with pytest.raises(OutputError, match=r"the lines are kept: etendue resume '") as caught:
         etendue.compute_form_factors(cube(1), bundles=16, save=folder / "a.npz", callback=go, **options)
-    kept = str(caught.value).partition("resume='")[2].partition("'")[0]
-    assert etendue.compute_form_factors(cube(1), bundles=16, resume=kept).bundles == 16
+    kept = str(caught.value).partition("etendue resume '")[2].partition("'")[0]
+    assert etendue.resume(kept, scene=cube(1), bundles=16, save=tmp_path / "b.npz").bundles == 16
+
+
+def lit(*arguments, **options):
+    return etendue.solve_radiosity(cube(2, **LIT), *arguments, **options)
+
+
+def factors(*arguments, **options):
+    return etendue.compute_form_factors(cube(1), *arguments, **options)
 
 
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [
-        (lambda: etendue.compute_form_factors(cube(1), "F9"), OptionError, "no estimator 'F9'"),
-        (lambda: etendue.solve_radiosity(cube(2, **LIT), "jacoby"), OptionError, "did you mean 'jacobi'"),
+        (lambda: factors(estimator="F9"), OptionError, "no estimator 'F9'"),
+        (lambda: factors("F1"), OptionError, "no method 'F1' for form factors; it is one of|lines, spheres, exact"),
+        (lambda: factors("multipath"), OptionError, "no method 'multipath' for form factors"),
+        (lambda: factors(objects="components"), OptionError, "objects is for method spheres"),
+        (lambda: factors("exact", bundles=8), OptionError, "casts no lines: leave out bundles"),
+        (lambda: factors("exact", wait=False), OptionError, "makes its result at once, without passes: leave out wait"),
+        (lambda: factors(bundles=0), OptionError, "in bundles must be a whole number|at least 1"),
+        (lambda: factors(points=8), OptionError, "method 'lines' has no option 'points'"),
+        (lambda: factors(save="a.csv"), OptionError, "not known"),
+        (lambda: factors(save="no/where/a.npz"), OutputError, "no folder"),
+        (lambda: factors(save="a.nc", checkpoint="a.nc"), OptionError, "two outputs"),
+        (lambda: lit("jacobi"), OptionError, "'jacobi' is a solver of method lines: give solver jacobi"),
+        (lambda: lit(solver="jacoby"), OptionError, "did you mean 'jacobi'"),
+        (lambda: lit("spheres"), OptionError, "no method 'spheres' for a solution"),
+        (lambda: lit("multipath", bundles=8), OptionError, "'multipath' counts points: give points in place of bundles"),
+        (lambda: lit("multipath", solver="jacobi"), OptionError, "a solver is for method lines"),
+        (lambda: lit("multipath", threshold=0.2), OptionError, "threshold is for boxes"),
+        (lambda: lit("boxes", threshold=-1), OptionError, "'threshold' must be"),
+        (lambda: lit("ambient", bundles=8), OptionError, "casts no lines: leave out bundles"),
+        (lambda: lit(ambient="fuzzy", wait=False), OptionError, "leave out wait"),
+        (lambda: lit(divide=True, workers=2), OptionError, "divide puts boxes on workers: give method boxes, too"),
+        (lambda: lit("boxes", divide=True), OptionError, "give workers or cluster with divide"),
+        (lambda: lit(max_area=1.0), OptionError, "max_area is for scenes and mesh files"),
         (lambda: etendue.solve_radiosity(cube(1)), SceneError, "has no light"),
-        (lambda: etendue.solve_radiosity(cube(1, emission=1.0), max_area=1.0), OptionError, "max_area= is for scenes"),
-        (lambda: etendue.compute_form_factors(cube(1), bundles=0), OptionError, "in bundles must be a whole number"),
-        (lambda: etendue.compute_form_factors(cube(1), save="a.csv"), OptionError, "not known"),
-        (lambda: etendue.compute_form_factors(cube(1), save="no/where/a.npz"), OutputError, "no folder"),
-        (lambda: etendue.compute_form_factors(cube(1), save="a.nc", checkpoint="a.nc"), OptionError, "two outputs"),
         (lambda: etendue.compute_form_factors("missing.ply"), SceneError, "no mesh file"),
         (lambda: etendue.solve_radiosity("no-such-scene"), SceneError, "no-such-scene"),
     ],
@@ -152,7 +214,29 @@ def test_a_checkpoint_inside_a_pass_goes_on_to_any_number(tmp_path):
     patches, kept = cube(2, **LIT), tmp_path / "lines.checkpoint"
     etendue.solve_radiosity(patches, seed=2, bundles=3, checkpoint=kept)
     for bundles in (5, 8, 21):
-        result = etendue.solve_radiosity(patches, seed=2, bundles=bundles, resume=kept, checkpoint=kept)
+        result = etendue.resume(kept, scene=patches, bundles=bundles)
         whole = etendue.solve_radiosity(patches, seed=2, bundles=bundles)
         assert (result.bundles, len(result.segments)) == (bundles, len(whole.segments))
         np.testing.assert_allclose(result.solution.radiosity, whole.solution.radiosity, rtol=1e-9)
+
+
+def test_the_arguments_of_version_1_mean_the_same(caplog):
+    """``hierarchy`` is method spheres or boxes, with its objects and settings; it warns."""
+    patches = lit_room()
+    for old, new in (
+        ({"hierarchy": True}, {}),
+        ({"hierarchy": "components"}, {"objects": "components"}),
+    ):
+        caplog.clear()
+        was = etendue.compute_form_factors(patches, bundles=16, seed=1, main_share=0.3, **old)
+        assert "hierarchy is now method spheres" in caplog.text
+        now = etendue.compute_form_factors(patches, "spheres", bundles=16, seed=1, main_share=0.3, **new)
+        np.testing.assert_array_equal(was.factors.matrix.toarray(), now.factors.matrix.toarray())
+    caplog.clear()
+    settings = {"objects": "components", "threshold": 0.1, "lines": 20_000, "grid": 3}
+    was = etendue.solve_radiosity(patches, hierarchy=settings, passes=2, seed=1)
+    assert "hierarchy is now method boxes" in caplog.text
+    caplog.clear()
+    now = etendue.solve_radiosity(patches, "boxes", passes=2, seed=1, **settings)
+    np.testing.assert_allclose(was.solution.radiosity, now.solution.radiosity, rtol=1e-12)
+    assert not caplog.text

@@ -125,6 +125,7 @@ class Runner:
         self._on_save, self._save_if = on_save, save_if
         self._spent = spent
         self._make_executor = executor
+        self._executor: Executor | None = None  # of a run that has begun
         self._clock = clock
         self._lock = threading.Lock()
         self._begin = 0.0
@@ -140,6 +141,11 @@ class Runner:
         """The picture so far, ``None`` before the first pass is done."""
         with self._lock:
             return self.method.develop(self._measurement, self._state) if self._measurement is not None else None
+
+    @property
+    def state(self) -> State:
+        """The state of the method after the last pass."""
+        return self._state
 
     def request_save(self) -> None:
         """Save after the current pass, as at a time of ``save_at``."""
@@ -161,22 +167,42 @@ class Runner:
         :class:`RunError` if a pass fails after others succeeded, the error of the first pass if it fails, and
         :class:`Cancelled` if the run was cancelled before its first pass.
         """
-        self._saving.begin()
-        self._since = self._clock()
-        self._begin = self._since - self._spent
-        executor = self._make_executor(self._order())
-        predicts = not executor.keeps_time
+        self.begin()
+        assert self._executor is not None
         try:
-            while (reason := self._stopping.reason(self._measurement, self._elapsed(), predicts)) is None:
-                self._kept_if_it_fails(partial(self._pass, executor))
-            self._kept_if_it_fails(partial(self._rest, executor))
+            while (reason := self.reason) is None:
+                self.step()
+            self._kept_if_it_fails(partial(self._rest, self._executor))
         finally:
-            executor.close()
+            self._executor.close()
         if self._measurement is None:
             raise Cancelled("stopped before the first pass was done; there is no picture")
         # The pass that would have reached the time limit was not started: the result counts as that at the limit.
         reached = (self.budget.seconds or 0.0) if reason == "seconds" else 0.0
         return self._result(reason, self._saving.passed(reached))
+
+    def begin(self) -> None:
+        """Begin a run whose passes the caller asks for by :meth:`step`, in place of :meth:`run`."""
+        self._saving.begin()
+        self._since = self._clock()
+        self._begin = self._since - self._spent
+        self._executor = self._make_executor(self._order())
+
+    @property
+    def reason(self) -> StoppedBy | None:
+        """Why the run ends now, ``None`` if another pass is to be made."""
+        predicts = self._executor is not None and not self._executor.keeps_time
+        return self._stopping.reason(self._measurement, self._elapsed(), predicts)
+
+    def step(self) -> None:
+        """Take the next passes, report and save. Raises as :meth:`run`."""
+        assert self._executor is not None, "a run begins by begin()"
+        self._kept_if_it_fails(partial(self._pass, self._executor))
+
+    @property
+    def current(self) -> RunResult | None:
+        """The result so far, ``None`` before the first pass."""
+        return None if self._measurement is None else self._result("running")
 
     def _order(self) -> Order:
         """The order for the executor."""

@@ -12,6 +12,7 @@ from .pictures import (
     Picture as Picture,
     Rendering as Rendering,
     check_picture as check_picture,
+    developed as developed,
     picture_task as picture_task,
     save_result as save_result,
     scene_settings as scene_settings,

@@ -154,7 +154,7 @@ class Picture(Product[Rendering]):
                 write_checkpoint(kept)
         last = partial(rescue, "render.checkpoint", "checkpoint", ("", write_checkpoint)) if kept is None else str
         with writing.attempt("develop the picture", last):
-            result = developed(job, run)
+            result = developed(run, job.problem, job.seed)
         for picture in self.pictures if result is not None else ():
             write = partial(save_result, result=result, separate=self.separate, tone=self.tone, exposure=self.exposure)
             ways = ("", write), (".npz", partial(_write_arrays, layers=result.layers))
@@ -198,18 +198,18 @@ def scene_settings(method: type[Method], problem: Problem, given: Mapping[str, A
     return made
 
 
-def developed(job: Job, run: RunResult) -> Result:
+def developed(run: RunResult, problem: Problem, seed: int) -> Result:
     """The picture of ``run`` with the metadata of its files."""
     result, measurement = run.result, run.measurement
     counters = {k: v for k, v in measurement.counters.items() if k not in ("samples", "seconds", "rays", "nonfinite")}
     error = measurement.relative_error() if measurement.has_error() else float("nan")
     result.metadata = {
         **result.metadata,
-        "method": job.method.name,
-        "settings": job.method.settings.to_dict(),
-        "seed": job.seed,
-        "scene": job.problem.source,
-        "fingerprint": job.problem.fingerprint,
+        "method": run.method.name,
+        "settings": run.method.settings.to_dict(),
+        "seed": seed,
+        "scene": problem.source,
+        "fingerprint": problem.fingerprint,
         "passes": run.passes,
         "samples": run.samples,
         "seconds": round(measurement.counters.get("seconds", run.elapsed), 3),

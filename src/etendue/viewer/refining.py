@@ -4,53 +4,69 @@ from a file."""
 from __future__ import annotations
 
 import os
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from etendue import film, methods
-from etendue.core import Measurement, Replica, Result, Settings, State, prepared
-from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, versions
-from etendue.products import scene_settings
+from etendue.core import Result, State, prepared
+from etendue.engine import Budget, Runner
+from etendue.products import developed, scene_settings
 from etendue.scene import Problem
 from etendue.transport import Rays
 
-#: Growth of the number of passes between two estimates of the noise.
-_CADENCE = 1.05
 #: File name endings of pictures.
 _PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".hdr")
 
 
+class _Stopwatch:
+    """Seconds of what is done within :meth:`running`."""
+
+    def __init__(self) -> None:
+        self._sum = 0.0
+        self._since: float | None = None
+
+    def __call__(self) -> float:
+        return self._sum + (0.0 if self._since is None else time.perf_counter() - self._since)
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Count the seconds of this block."""
+        self._since = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._sum, self._since = self(), None
+
+
 class Refinement:
-    """Passes of one method on one view of a scene. Raises the errors of settings and preparation."""
+    """Passes of one method on one view of a scene, made when the session has time. Raises the errors of settings and
+    preparation."""
 
     def __init__(
         self, problem: Problem, method: str, settings: Mapping[str, Any], budget: Budget, seed: int = 0
     ) -> None:
         begin = time.perf_counter()
-        kind = methods.get(method)
+        kind: Any = methods.get(method)
         self.problem, self.budget, self.seed = problem, budget, seed
         self.settings = checked(problem, method, settings)
         # One sample a pass unless the settings give another number, so that the camera does not wait long.
         one = self.settings if self.settings.samples_per_pass else self.settings.replace(samples_per_pass=1)
-        self._replica = Replica(self._prepared(kind, one), seed)
-        self.method.plan(budget.seconds, budget.passes(self.method.samples_per_iteration), budget.error)
-        self.measurement: Measurement | None = None
-        #: Seconds of preparation and passes.
-        self.seconds = time.perf_counter() - begin
-        self.passes = 0
-        self.noise: float | None = None
-        self.rays_per_second: float | None = None
-        self._next_noise = 2.0
-
-    def _prepared(self, kind: type[Any], settings: Settings) -> Any:
-        return prepared(kind(settings), self.problem, self.seed)
+        #: The prepared method.
+        self.method = prepared(kind(one), problem, seed)
+        self._clock, self._never = _Stopwatch(), threading.Event()  # a session needs no budget
+        spent = time.perf_counter() - begin
+        self._runner = Runner(self.method, seed=seed, budget=budget, cancel=self._never, spent=spent, clock=self._clock)
+        self._runner.begin()
+        self._entered: tuple[State, int] | None = None
 
     @property
-    def method(self) -> Any:
-        """The prepared method."""
-        return self._replica.method
+    def passes(self) -> int:
+        """Passes in the picture."""
+        return self._runner.progress.passes if self._entered is None else self._entered[1]
 
     @property
     def samples(self) -> int:
@@ -58,47 +74,29 @@ class Refinement:
         return self.passes * self.method.samples_per_iteration
 
     @property
-    def is_done(self) -> bool:
-        """Whether the budget is used up."""
-        most = self.budget.passes(self.method.samples_per_iteration)
-        return (
-            (most is not None and self.passes >= most)
-            or (self.budget.seconds is not None and self.seconds >= self.budget.seconds)
-            or self._is_quiet
-        )
+    def seconds(self) -> float:
+        """Seconds of preparation and passes."""
+        return self._runner.progress.elapsed
 
     @property
-    def _is_quiet(self) -> bool:
-        """Whether the noise is within the budget's error, by an estimate from enough passes."""
-        known = self.budget.error is not None and self.noise is not None and self.passes >= LEAST_PASSES_FOR_ERROR
-        return known and self.noise <= self.budget.error  # type: ignore[operator]
+    def is_done(self) -> bool:
+        """Whether the budget is used up."""
+        return self._runner.reason is not None
 
     def step(self) -> None:
         """Make a pass and add it to the picture."""
-        begin = time.perf_counter()
-        made = self._replica.step(self.passes)
-        seconds = time.perf_counter() - begin
-        self.seconds += seconds
-        rays = made.counters.get("rays", 0.0)
-        if self.measurement is None:
-            self.measurement = made
-        else:
-            self.measurement += made
-        self.passes += 1
-        self.rays_per_second = rays / seconds if rays and seconds > 0 else None
-        if self.passes >= self._next_noise:
-            self._next_noise = max(self.passes + 1, self.passes * _CADENCE)
-            self.noise = self.method.noise(self.measurement)
+        with self._clock.running():
+            self._runner.step()
 
     @property
     def state(self) -> State:
         """The state of the method after the last pass."""
-        return self._replica.state
+        return self._runner.state if self._entered is None else self._entered[0]
 
     def enter(self, state: State, passes: int) -> None:
         """Take the state after a number of passes that were made elsewhere. Errors as of ``Method.enter``."""
         self.method.enter(state)
-        self._replica.state, self.passes = state, passes
+        self._entered = state, passes
 
     def rays(self, x: float, y: float, paths: int) -> Rays | None:
         """The rays of the next pass through a pixel, see :func:`etendue.methods.rays_through`."""
@@ -109,32 +107,19 @@ class Refinement:
 
     def result(self) -> Result | None:
         """The picture so far with its layers, ``None`` before the first pass."""
-        if self.measurement is None:
-            return None
-        result = self._replica.develop(self.measurement)
-        result.metadata |= {
-            "method": self.method.name,
-            "settings": self.method.settings.to_dict(),
-            "seed": self.seed,
-            "scene": self.problem.source,
-            "passes": self.passes,
-            "samples": self.samples,
-            "seconds": round(self.seconds, 3),
-            "rays": self.measurement.counters.get("rays", 0.0),
-            "relative_error": self.noise,
-            "versions": versions(),
-        }
-        return result
+        run = self._runner.current
+        return None if run is None else developed(run, self.problem, self.seed)
 
     def progress(self) -> dict[str, Any]:
         """Plain values for the page."""
+        progress = self._runner.progress
         return {
             "method": self.method.name,
             "passes": self.passes,
             "samples": self.samples,
             "seconds": self.seconds,
-            "rays_per_second": self.rays_per_second,
-            "noise": self.noise,
+            "rays_per_second": progress.rays_per_second,
+            "noise": progress.relative_error,
             "done": self.is_done,
         }
 
