@@ -84,10 +84,10 @@ def test_methods_agree():
     found = [
         etendue.solve_radiosity(patches, bundles=1024),
         etendue.solve_radiosity(patches, "multipath", points=1 << 17, point_set="halton"),
-        etendue.solve_radiosity(patches, "boxes", passes=8, objects="components", threshold=0.1, grid=6),
+        etendue.solve_radiosity(patches, "boxes", passes=8, objects="components", least=8, threshold=2.0),
     ]
     assert [(one.bundles, one.points, one.passes) for one in found] == [(1024, 0, 0), (0, 1 << 17, 0), (0, 0, 8)]
-    assert found[2].parts is not None and len(found[2].parts.tree.copies) >= 0
+    assert len(found[2].parts.tree.part) > 1  # there are boxes
     for one in found[1:]:
         light, expected = (r.solution.radiosity[:, 0] * patches.areas for r in (one, found[0]))
         assert light.sum() == pytest.approx(expected.sum(), rel=0.02)
@@ -107,16 +107,17 @@ def test_a_budget_in_error():
     assert (result.patches.areas[:, None] * result.irradiance_error).sum() / light == pytest.approx(0.02, rel=0.5)
 
 
-def test_of_independent_sequences_the_error_is_that_which_is_made():
-    """It is neither an upper estimate, as of one sequence, nor too small."""
+def test_the_error_of_independent_sequences_is_that_which_is_made():
+    """Squared deviations from many lines, in estimated variances; of one sequence the estimate is an upper one."""
     patches = lit_room()
-    exact = etendue.solve_radiosity(patches, bundles=1 << 14, seed=99, shot=False).solution.irradiance
-    ratios = []
-    for seed in range(6):
-        made = etendue.solve_radiosity(patches, bundles=128, replicates=8, seed=seed, shot=False)
-        ratios.append(((made.solution.irradiance - exact) ** 2).sum() / (made.irradiance_error**2).sum())
-    print(ratios)
-    assert 0.5 < np.mean(ratios) < 2.0
+    exact = etendue.solve_radiosity(patches, bundles=2048, seed=99, shot=False).solution.irradiance
+
+    def ratio(seed, replicates):
+        made = etendue.solve_radiosity(patches, bundles=64, replicates=replicates, seed=seed, shot=False)
+        return ((made.solution.irradiance - exact) ** 2).sum() / (made.irradiance_error**2).sum()
+
+    assert 0.5 < np.mean([ratio(seed, 8) for seed in range(8)]) < 2.0
+    assert np.mean([ratio(seed, 1) for seed in range(8)]) < 0.2
 
 
 def test_a_callback_stops_and_a_checkpoint_goes_on(tmp_path):
@@ -175,12 +176,12 @@ def factors(*arguments, **options):
     ("call", "error", "text"),
     [
         (lambda: factors(estimator="F9"), OptionError, "no estimator 'F9'"),
-        (lambda: factors("F1"), OptionError, "no method 'F1' for form factors; it is one of|lines, spheres, exact"),
+        (lambda: factors("F1"), OptionError, "no method 'F1' for form factors; .*: lines, spheres, exact"),
         (lambda: factors("multipath"), OptionError, "no method 'multipath' for form factors"),
         (lambda: factors(objects="components"), OptionError, "objects is for method spheres"),
         (lambda: factors("exact", bundles=8), OptionError, "casts no lines: leave out bundles"),
         (lambda: factors("exact", wait=False), OptionError, "makes its result at once, without passes: leave out wait"),
-        (lambda: factors(bundles=0), OptionError, "in bundles must be a whole number|at least 1"),
+        (lambda: factors(bundles=0), OptionError, "in bundles must be a whole number"),
         (lambda: factors(points=8), OptionError, "method 'lines' has no option 'points'"),
         (lambda: factors(save="a.csv"), OptionError, "not known"),
         (lambda: factors(save="no/where/a.npz"), OutputError, "no folder"),
@@ -188,7 +189,11 @@ def factors(*arguments, **options):
         (lambda: lit("jacobi"), OptionError, "'jacobi' is a solver of method lines: give solver jacobi"),
         (lambda: lit(solver="jacoby"), OptionError, "did you mean 'jacobi'"),
         (lambda: lit("spheres"), OptionError, "no method 'spheres' for a solution"),
-        (lambda: lit("multipath", bundles=8), OptionError, "'multipath' counts points: give points in place of bundles"),
+        (
+            lambda: lit("multipath", bundles=8),
+            OptionError,
+            "'multipath' counts points: give points in place of bundles",
+        ),
         (lambda: lit("multipath", solver="jacobi"), OptionError, "a solver is for method lines"),
         (lambda: lit("multipath", threshold=0.2), OptionError, "threshold is for boxes"),
         (lambda: lit("boxes", threshold=-1), OptionError, "'threshold' must be"),
@@ -233,7 +238,7 @@ def test_the_arguments_of_version_1_mean_the_same(caplog):
         now = etendue.compute_form_factors(patches, "spheres", bundles=16, seed=1, main_share=0.3, **new)
         np.testing.assert_array_equal(was.factors.matrix.toarray(), now.factors.matrix.toarray())
     caplog.clear()
-    settings = {"objects": "components", "threshold": 0.1, "lines": 20_000, "grid": 3}
+    settings = {"objects": "components", "least": 8, "threshold": 2.0, "lines": 20_000, "grid": 3}
     was = etendue.solve_radiosity(patches, hierarchy=settings, passes=2, seed=1)
     assert "hierarchy is now method boxes" in caplog.text
     caplog.clear()

@@ -1,7 +1,7 @@
 """Engine: runs a method pass by pass, with budgets, progress, checkpoints, resuming and cancelling. It knows no
 concrete method."""
 
-from .budget import Budget as Budget
+from .budget import Budget as Budget, check_count as check_count
 from .checkpoint import Checkpoint as Checkpoint
 from .executor import Executor as Executor, InTurn as InTurn, MakeExecutor as MakeExecutor, Order as Order
 from .fitting import fit_samples as fit_samples, settle_samples as settle_samples

@@ -27,8 +27,8 @@ class Budget:
     def __post_init__(self) -> None:
         object.__setattr__(self, "seconds", _positive("seconds", self.seconds))
         object.__setattr__(self, "error", _positive("error", self.error))
-        object.__setattr__(self, "samples", _count("samples per pixel", self.samples))
-        object.__setattr__(self, "iterations", _count("passes", self.iterations))
+        object.__setattr__(self, "samples", check_count("samples per pixel", self.samples))
+        object.__setattr__(self, "iterations", check_count("passes", self.iterations))
 
     def __bool__(self) -> bool:
         """Whether there is a limit."""
@@ -56,7 +56,8 @@ def _positive(what: str, value: Any) -> float | None:
     return float(value)
 
 
-def _count(what: str, value: Any) -> int | None:
+def check_count(what: str, value: Any) -> int | None:
+    """A limit in ``what`` as a whole number. Raises :class:`OptionError`."""
     if value is None:
         return None
     if not is_number(value) or value < 1 or not float(value).is_integer():

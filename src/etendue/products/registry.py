@@ -8,7 +8,7 @@ from typing import Any
 
 from etendue import methods
 from etendue.core import Method, OptionError, is_number, logger, suggest
-from etendue.engine import Budget
+from etendue.engine import Budget, check_count
 from etendue.scene import integrator_of
 
 #: The method of pictures, if none is asked for.
@@ -118,4 +118,5 @@ def budget_of(method: type[Method], limits: Mapping[str, Any]) -> Budget:
         if not is_number(error) or error <= 0:
             raise OptionError(f"a budget in error must be a number above 0, not {error!r}")
         error = error**2  # the engine works with variances
+    number = check_count(count, number)
     return Budget(seconds, None if count == "passes" else number, number if count == "passes" else None, error)

@@ -1,13 +1,9 @@
-"""Pictures of a solution from a camera: the radiosities of the visible surfaces, or a final gather at these surfaces.
-
-The final gather is a path of :mod:`etendue.methods` that ends in a solution of :mod:`etendue.radiosity`.
-"""
+"""Pictures of a solution from a camera: the radiosities of the visible surfaces, or paths that end in the solution."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -15,13 +11,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import OptionError, Progress, Result, SampleSource, is_whole, prepared
+from etendue.core import OptionError, Progress, Result, is_whole, prepared
 from etendue.engine import Budget, RunError, Runner
-from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
+from etendue.methods import ImageMethod, ImageSettings, Path
 from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
 from etendue.scene import Problem, check, load
-from etendue.surfaces import PatchSurfaces, SurfaceValues, check_place
-from etendue.transport import CameraPath, CameraSampler, DirectWeights, Walker
+from etendue.surfaces import PatchSurfaces, SurfaceValues, check_place, solution_map
+from etendue.transport import CameraSampler
 
 #: Suffixes of pictures and their meaning.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
@@ -51,11 +47,9 @@ def picture(
     interpolated over edges of at most ``angle`` degrees; with ``smooth=False`` it is constant on each patch. Only the
     shapes of the scene are used.
 
-    With ``gather`` paths per pixel [Reichert 1992], the materials and lights of the scene are used at the first
-    surface that is not specular, which the camera may see through mirrors. Direct light is sampled there by next event
-    and BSDF as in ``path``; light reflected by other surfaces is taken from the solution at the next hit:
-
-    .. math:: L = L_e + \int f (L_e' + (B' - E') / \pi) |cos| d\omega
+    With ``gather`` paths per pixel [Reichert 1992], the picture is that of method ``path`` with the solution as its map
+    and ``map_after=1``: the materials and lights of the scene are used at the first surface that is not specular, and
+    paths end at the next diffuse one, where the irradiance is that of the solution.
 
     irradiance_error: see :func:`save_solution`; adds the layer ``error``, the standard error of the radiance B / pi of
     the visible surfaces due to the lines. on_pass: called with the number of finished passes and of all passes.
@@ -78,8 +72,13 @@ def picture(
         check(problem.scene, problem.sensor)  # without gathering, a scene needs no lights
     check_place(solution.patches, problem, "the solution is")
     surfaces = PatchSurfaces(solution.patches)
-    values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle, emission=gather == 0)
-    method = _Gathered(surfaces, values) if gather else _Seen(surfaces, values, solution.patches.sky)
+    method: ImageMethod
+    if gather:
+        method = Path(Path.Settings.from_mapping({"map_after": 1}))
+        method.map = solution_map(solution, smooth, problem.space)
+    else:
+        values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle)
+        method = _Seen(surfaces, values, solution.patches.sky)
     layers = {"image": _run(method, problem, gather or spp, seed, on_pass)}
     if error is not None:
         reflected = SurfaceValues(surfaces, solution.patches.reflectance * error)
@@ -136,78 +135,6 @@ class _Seen(ImageMethod):
         image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)), seed, iteration)
         count = float(len(lanes))
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
-
-
-@dataclass(kw_only=True)
-class _EndedPath(CameraPath):
-    """State of a camera path that ends at the second surface that is not specular."""
-
-    scattered: mi.Bool  #: whether it has scattered at the first such surface
-    reached: mi.Bool  #: whether it has reached the second one
-    end: mi.Point3f  #: position on the second one
-    normal: mi.Normal3f  #: normal there, on the side of the path
-    at_end: mi.Color3f  #: throughput up to there
-
-
-class _Gathered(ImageMethod):
-    """Path tracing that ends at the second surface that is not specular, with the reflected light of the solution."""
-
-    name: ClassVar[str] = "radiosity-gather"
-    Settings: ClassVar[type[ImageSettings]] = CameraSettings
-    citations: ClassVar[tuple[str, ...]] = ("Reichert1992",)
-
-    def __init__(self, surfaces: PatchSurfaces, reflected: SurfaceValues) -> None:
-        super().__init__()
-        self._surfaces, self._reflected = surfaces, reflected
-
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, mi.TensorXf], dict[str, float]]:
-        """See :class:`ImageMethod`. The solution is evaluated when all paths have ended, since its evaluation traces
-        rays in another scene."""
-        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = self.camera_numbers(lanes, samples, seed, iteration)
-        ray, importance, _ = self.camera.primary(lanes // samples, source)
-        walker = self.walker(Walker)
-        path = _EndedPath.start(
-            ray,
-            walker.max_edges,
-            scattered=mi.Bool(False),
-            reached=mi.Bool(False),
-            end=mi.Point3f(0.0),
-            normal=mi.Normal3f(0.0),
-            at_end=mi.Color3f(0.0),
-        )
-        path = walker.walk(path, lambda s: self._edge(s, walker, source), "radiosity gathering")
-        radiance, throughput = path.radiance * importance, path.at_end * importance
-        dr.eval(radiance, path.rays, path.end, path.normal, throughput, path.reached)
-        place = self._surfaces.find(path.end, path.normal, path.reached, self.problem.space)
-        reflected = throughput * self._reflected.at(place) / np.pi
-        radiance, bad = self.kept(radiance + dr.select(path.reached, reflected, 0.0))
-        dr.eval(radiance, bad)
-        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance, seed, iteration)}, counters
-
-    def _edge(self, s: _EndedPath, walker: Walker, source: SampleSource) -> _EndedPath:
-        """Trace one edge, and scatter at its end unless the path ends there."""
-        vertex, weights = walker.arrive(s), DirectWeights()
-        hit = walker.emission(s, vertex)
-        s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
-        s.active &= vertex.valid & (s.depth < walker.max_edges)
-
-        ends = s.active & s.scattered
-        s.end = dr.select(ends, vertex.position, s.end)
-        s.normal = dr.select(ends, _towards(vertex.si, vertex.incoming), s.normal)
-        s.at_end = dr.select(ends, s.throughput, s.at_end)
-        s.reached |= ends
-        s.active &= ~ends
-
-        light = walker.light_point(vertex, source, s.active & vertex.smooth)
-        scattered, (f,) = vertex.sample(source, s.active, [light])
-        contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
-        s.radiance[visible] += contribution
-        s.scattered |= s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null
-        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
-        walker.advance(s, vertex, scattered, source)
-        return s
 
 
 def _towards(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Normal3f:

@@ -56,6 +56,8 @@ class PatchRun:
         """Raise :class:`OptionError` for settings that the method does not have, which may be misspelt arguments of
         ``function``."""
         name = current(self.method or "lines")
+        if name not in (*FACTORS, *SOLUTIONS, EXACT, AMBIENT):
+            return  # the task refuses it
         known: Any = Settings if name in (EXACT, AMBIENT) else find(name).Settings
         known.check_arguments(self.settings, f"method '{name}'", function)
 

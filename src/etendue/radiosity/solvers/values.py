@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from etendue.surfaces import PatchSurfaces, SurfaceValues
 
 from ..errors import RadiosityError
@@ -11,20 +9,18 @@ from .system import Solution
 
 
 def radiosity_on(
-    surfaces: PatchSurfaces, solution: Solution, *, smooth: bool = True, angle: float = 30.0, emission: bool = True
+    surfaces: PatchSurfaces, solution: Solution, *, smooth: bool = True, angle: float = 30.0
 ) -> SurfaceValues:
     """The radiosity of a solution as a function on its surfaces: emission and reflectance of the patch with an
-    interpolated irradiance, or (``smooth=False``) the radiosity of the patch. Without ``emission`` only reflected
-    light.
+    interpolated irradiance, or (``smooth=False``) the radiosity of the patch.
 
     Raises :class:`RadiosityError` unless there are one or three channels.
     """
     check_colours(solution)
     patches = solution.patches
     if not smooth:
-        return SurfaceValues(surfaces, solution.radiosity - (0.0 if emission else patches.emission))
-    own = patches.emission if emission else np.zeros((len(patches), 1))
-    return SurfaceValues(surfaces, own, patches.reflectance, solution.irradiance, angle)
+        return SurfaceValues(surfaces, solution.radiosity)
+    return SurfaceValues(surfaces, patches.emission, patches.reflectance, solution.irradiance, angle)
 
 
 def check_colours(solution: Solution) -> None:
