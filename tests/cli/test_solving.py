@@ -84,7 +84,7 @@ def test_methods_agree():
     found = [
         etendue.solve_radiosity(patches, bundles=1024),
         etendue.solve_radiosity(patches, "multipath", points=1 << 17, point_set="halton"),
-        etendue.solve_radiosity(patches, "boxes", passes=8, objects="components", least=8, threshold=2.0),
+        etendue.solve_radiosity(patches, "boxes", passes=8, objects="components", least=4, threshold=2.0),
     ]
     assert [(one.bundles, one.points, one.passes) for one in found] == [(1024, 0, 0), (0, 1 << 17, 0), (0, 0, 8)]
     assert len(found[2].parts.tree.part) > 1  # there are boxes
@@ -238,7 +238,7 @@ def test_the_arguments_of_version_1_mean_the_same(caplog):
         now = etendue.compute_form_factors(patches, "spheres", bundles=16, seed=1, main_share=0.3, **new)
         np.testing.assert_array_equal(was.factors.matrix.toarray(), now.factors.matrix.toarray())
     caplog.clear()
-    settings = {"objects": "components", "least": 8, "threshold": 2.0, "lines": 20_000, "grid": 3}
+    settings = {"objects": "components", "least": 4, "threshold": 2.0, "lines": 20_000, "grid": 3}
     was = etendue.solve_radiosity(patches, hierarchy=settings, passes=2, seed=1)
     assert "hierarchy is now method boxes" in caplog.text
     caplog.clear()
