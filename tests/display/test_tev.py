@@ -1,4 +1,4 @@
-"""Pictures in tev: packets byte by byte, and what a display makes of them."""
+"""Pictures in tev: what a display makes of the packets."""
 
 from __future__ import annotations
 
@@ -10,28 +10,7 @@ from support.tev import fake_tev
 
 from etendue.core import OptionError
 from etendue.display import TevDisplay
-from etendue.display.tev import close_packet, create_packet, parse_address, picture_packets, update_packet
-
-
-def test_packets_are_those_of_the_protocol() -> None:
-    assert close_packet("a") == b"\x07\0\0\0\x02a\0"
-    assert create_packet("ä", 3, 2, ["R", "d.Z"]) == (
-        b"\x1b\0\0\0\x04\x01\xc3\xa4\0\x03\0\0\0\x02\0\0\0\x02\0\0\0R\0d.Z\0"
-    )
-    pixels = np.array([[[1.0, -2.0]]], np.float32)
-    assert update_packet("a", ["R", "G"], 5, 6, pixels) == (
-        b"\x48\0\0\0" b"\x06\0a\0" b"\x02\0\0\0" b"R\0G\0" b"\x05\0\0\0\x06\0\0\0\x01\0\0\0\x01\0\0\0"
-        b"\0\0\0\0\0\0\0\0" b"\x01\0\0\0\0\0\0\0" b"\x02\0\0\0\0\0\0\0" b"\x02\0\0\0\0\0\0\0"
-        b"\0\0\x80\x3f\0\0\0\xc0"
-    )  # fmt: skip
-
-
-def test_packets_are_those_of_the_client_of_tevs_author() -> None:
-    client = pytest.importorskip("tevclient.packet")
-    names, pixels = ["R", "normal.X", "Tiefe"], np.random.default_rng(0).random((5, 7, 3), np.float32)
-    assert create_packet("räum", 7, 5, names) == client.create_image("räum", 7, 5, names, True)
-    assert update_packet("räum", names, 2, 3, pixels) == client.update_image("räum", pixels, names, 2, 3, False)
-    assert close_packet("räum") == client.close_image("räum")
+from etendue.display.tev import parse_address, picture_packets
 
 
 def test_layers_arrive_and_a_known_layout_is_not_made_again() -> None:
@@ -52,7 +31,7 @@ def test_layers_arrive_and_a_known_layout_is_not_made_again() -> None:
     assert server.kinds == [2, 4, 6, 6, 6, 6, 6]
     packets, layout = picture_packets("room", layers)
     assert len(picture_packets("room", layers, layout)[0]) == len(packets) - 2
-    assert picture_packets("room", {"image": layers["image"]}, layout)[0][0] == close_packet("room")
+    assert picture_packets("room", {"image": layers["image"]}, layout)[0][0][4] == 2  # closes the image
 
 
 def test_a_display_that_is_missing_or_goes_away_is_one_line() -> None:

@@ -26,7 +26,6 @@ from .quadtrees import Quadtrees as Quadtrees, QuadtreeSampler as QuadtreeSample
 from .samples import Samples as Samples, Surface as Surface
 from .search.hashgrid import HashGrid as HashGrid, Query as Query
 from .search.kdtree import KdTree as KdTree
-from .search.leftbalanced import left_balanced as left_balanced, nearest as nearest
 from .variable import (
     AdaptiveKernel as AdaptiveKernel,
     SampleBandwidths as SampleBandwidths,

@@ -1,32 +1,24 @@
-"""Pictures in the image viewer tev, over its network protocol.
-
-A packet has its own length as a 32-bit number, a byte for its kind, and fields: numbers are little-endian, texts end
-with a zero byte. :func:`create_packet`, :func:`update_packet` and :func:`close_packet` make packets;
-:class:`TevDisplay` sends the layers of a run while it renders.
-"""
+"""Pictures in the image viewer tev, over its network protocol (library ``tevclient``)."""
 
 from __future__ import annotations
 
 import socket
-import struct
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, describe, logger
+from etendue.core import OptionError, describe, library, logger
 from etendue.film import channel_names
 
 Layers = Mapping[str, NDArray[np.float32]]
 
 #: The port on which tev listens by default.
 PORT = 14158
-#: Kinds of packets.
-_CLOSE, _CREATE, _UPDATE = 2, 4, 6
 #: Most bytes of pixels in a packet, so that a slow display is not sent a whole picture at once.
 _PACKET_BYTES = 1 << 22
 #: Seconds to wait for a connection, and for a display that does not read its data.
@@ -50,38 +42,20 @@ def parse_address(text: str) -> tuple[str, int]:
     return host.strip("[]") or "localhost", number
 
 
-def close_packet(name: str) -> bytes:
-    """Closes the image ``name``; without effect if it does not exist."""
-    return _packet(_CLOSE, _text(name))
-
-
-def create_packet(name: str, width: int, height: int, channels: Sequence[str], focus: bool = True) -> bytes:
-    """Makes a black image. ``focus``: whether tev shows it at once."""
-    size = struct.pack("<iii", width, height, len(channels))
-    return _packet(_CREATE, bytes([focus]), _text(name), size, *map(_text, channels))
-
-
-def update_packet(name: str, channels: Sequence[str], x: int, y: int, pixels: NDArray[np.float32]) -> bytes:
-    """Sets the pixels (height, width, channels) of an image from column ``x`` and row ``y`` on."""
-    height, width, count = pixels.shape
-    fields = struct.pack("<iiii", x, y, width, height)
-    places = struct.pack(f"<{2 * count}q", *range(count), *[count] * count)  # offsets and strides, in numbers
-    data = np.ascontiguousarray(pixels, "<f4").tobytes()
-    head = bytes([False]), _text(name), struct.pack("<i", count)
-    return _packet(_UPDATE, *head, *map(_text, channels), fields, places, data)
-
-
 def picture_packets(name: str, layers: Layers, known: Layout | None = None) -> tuple[list[bytes], Layout]:
     """Packets that show ``layers`` (height, width, channels) as one image, with the channel names of OpenEXR, and their
     layout. The image is made anew unless its layout is ``known``."""
+    packet = library("tevclient.packet", "--tev", "tev")
     planes = {key: np.atleast_3d(np.asarray(layer, np.float32)) for key, layer in layers.items()}
     height, width = next(iter(planes.values())).shape[:2]
     channels = {key: channel_names(key, plane.shape[2]) for key, plane in planes.items()}
     layout: Layout = (width, height, tuple(name for names in channels.values() for name in names))
-    packets = [] if layout == known else [close_packet(name), create_packet(name, *layout)]
+    packets = (
+        [] if layout == known else [packet.close_image(name), packet.create_image(name, width, height, list(layout[2]))]
+    )
     for key, plane in planes.items():
         for y, rows in _bands(plane):
-            packets.append(update_packet(name, channels[key], 0, y, rows))
+            packets.append(packet.update_image(name, rows, channels[key], 0, y))
     return packets, layout
 
 
@@ -104,6 +78,7 @@ class TevDisplay:
 
     def __init__(self, address: str, name: str, tell: Callable[[str], object] = logger.warning) -> None:
         self._host, self._port = parse_address(address)
+        library("tevclient", "--tev", "tev")  # whether it is installed
         self._name, self._tell = name, tell
         self._socket: socket.socket | None = None
         self._layout: Layout | None = None
@@ -176,15 +151,6 @@ class TevDisplay:
         packets, self._layout = picture_packets(self._name, layers, self._layout)
         for packet in packets:
             self._socket.sendall(packet)
-
-
-def _packet(kind: int, *fields: bytes) -> bytes:
-    body = bytes([kind]) + b"".join(fields)
-    return struct.pack("<I", 4 + len(body)) + body
-
-
-def _text(text: str) -> bytes:
-    return text.replace("\0", " ").encode() + b"\0"
 
 
 def _bands(pixels: NDArray[np.float32]) -> Iterator[tuple[int, NDArray[np.float32]]]:
