@@ -27,6 +27,7 @@ from .registry import (
     chosen as chosen,
     count_of as count_of,
     find as find,
+    limits_of as limits_of,
     table as table,
 )
 from .results import FormFactorResult as FormFactorResult, RadiosityResult as RadiosityResult

@@ -120,3 +120,10 @@ def budget_of(method: type[Method], limits: Mapping[str, Any]) -> Budget:
         error = error**2  # the engine works with variances
     number = check_count(count, number)
     return Budget(seconds, None if count == "passes" else number, number if count == "passes" else None, error)
+
+
+def limits_of(budget: Budget, count: str = "spp") -> dict[str, float]:
+    """The limits of a budget by the names of :func:`budget_of`; ``count``: what its method counts."""
+    names = {"samples": count, "iterations": "passes"}
+    limits = {names.get(name, name): value for name, value in budget.to_dict().items()}
+    return limits | ({"error": float(f"{limits['error'] ** 0.5:.12g}")} if "error" in limits else {})

@@ -27,14 +27,16 @@ class Camera:
     """Position, view direction and field of view of a perspective or thin-lens sensor, in world space.
 
     ``origin`` and ``target`` must be given together; without them the scene's position and direction are kept. ``up``
-    is the direction that is up in the picture. ``fov`` is the vertical field of view of the whole film in degrees;
-    without it the scene's field of view is kept. Raises :class:`OptionError` for invalid values.
+    is the direction that is up in the picture. ``fov`` is the field of view of the whole film in degrees, along the
+    ``fov_axis`` as in Mitsuba: ``x``, horizontal, or ``y``; without it the scene's field of view is kept. Raises
+    :class:`OptionError` for invalid values.
     """
 
     origin: Sequence[float] | None = None
     target: Sequence[float] | None = None
     up: Sequence[float] = (0.0, 1.0, 0.0)
     fov: float | None = None
+    fov_axis: str = "x"
 
     def __post_init__(self) -> None:
         for name in ("origin", "target", "up"):
@@ -52,6 +54,8 @@ class Camera:
         fov = self.fov
         if fov is not None and not (is_number(fov) and 0.0 < fov < 180.0):
             raise OptionError(f"a camera's fov is an angle between 0 and 180 degrees, not {fov!r}")
+        if self.fov_axis not in ("x", "y"):
+            raise OptionError(f"a camera's fov_axis is x or y, not {self.fov_axis!r}")
 
     def to_dict(self) -> dict[str, Any]:
         """The arguments of an equal camera, ready for JSON."""
@@ -72,7 +76,7 @@ class Camera:
                 if "focal_length" in read_properties(props):
                     del props["focal_length"]
                 props["fov"] = float(self.fov)
-                props["fov_axis"] = "y"
+                props["fov_axis"] = self.fov_axis
 
 
 def check_movable(sensor: mi.Sensor, name: str) -> None:

@@ -86,7 +86,7 @@ class SceneSource:
         if "size" in place:
             known["size"] = tuple(place["size"])
         if "camera" in place:
-            known["camera"] = Camera(**place["camera"])
+            known["camera"] = Camera(**{"fov_axis": "y", **place["camera"]})  # version 1 had this axis only
         return cls(scene, **known)
 
     def ingredients(self, problem: Problem) -> Ingredients:

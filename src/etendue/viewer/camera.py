@@ -273,11 +273,6 @@ def projection(problem: Problem, pose: Pose) -> list[list[float]] | None:
     return matrix
 
 
-def vertical_fov(fov: float, size: tuple[int, int]) -> float:
-    """The vertical field of view of a film of (width, height), from the horizontal one, in degrees."""
-    return math.degrees(2 * math.atan(math.tan(math.radians(fov) / 2) * size[1] / size[0]))
-
-
 def _matrix(sensor: mi.Sensor) -> Array:
     values = dict(graph.contents(sensor).values)
     return np.array(graph.as_array(values["to_world"]), dtype=np.float64).reshape(4, 4)

@@ -15,10 +15,9 @@ from etendue.core import OptionError
 from etendue.display import tonemap, write_png
 from etendue.engine import check_save_times
 from etendue.film import write_bytes
-from etendue.products import check_picture, save_result
+from etendue.products import check_picture, limits_of, save_result
 from etendue.scene import MOVABLE, BundledScene, graph, is_sensor, locate, scene_xml
 
-from .camera import vertical_fov
 from .refining import Refinement, Still
 
 if TYPE_CHECKING:
@@ -146,7 +145,7 @@ def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: st
     scene, its camera, and autosaves in place of the session's budget."""
     assert session.problem is not None
     asked, problem = session.asked, session.problem
-    budget = asked.budget.to_dict() or {"samples": _samples(session)}
+    budget = limits_of(asked.budget) or {"spp": _samples(session)}
     every: dict[str, Mapping[str, Any]] = {
         "scene": {**tables["scene"], "sensor": asked.sensor, "size": list(_film(problem))},
         "camera": tables.get("camera", {}),
@@ -167,7 +166,7 @@ def _run_camera(session: Session) -> dict[str, Any] | None:
     problem, pose = session.problem, session.pose
     if graph.plugin_name(problem.sensor) not in MOVABLE or not pose.is_plain or pose.fov is None:
         return None
-    return pose.plain(problem) | {"fov": vertical_fov(pose.fov, _film(problem))}
+    return pose.plain(problem) | {"fov": pose.fov}
 
 
 def _samples(session: Session) -> int:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from etendue.core import OptionError, OutputError, SceneError, is_number, is_whole, suggest
 from etendue.engine import Budget, Job, Task, check_period, check_save_times
 from etendue.film import check_writable
-from etendue.products import Picture, choose_method, picture_task
+from etendue.products import Picture, choose_method, limits_of, picture_task
 from etendue.scene import BundledScene, Camera, SceneSource, bundled_scene
 
 from ..options import parse_memory
@@ -56,9 +56,9 @@ _OPEN = _Kind(
 TABLES: Mapping[str, Mapping[str, _Kind]] = {
     "": {"seed": _INDEX, "variant": _TEXT, "threads": _COUNT, "low_priority": _SWITCH, "memory": _MEMORY},
     "scene": {"file": _TEXT, "bundled": _TEXT, "sensor": _INDEX, "size": _SIZE, "parameters": _OPEN},
-    "camera": {"origin": _POINT, "target": _POINT, "up": _POINT, "fov": _NUMBER},
+    "camera": {"origin": _POINT, "target": _POINT, "up": _POINT, "fov": _NUMBER, "fov_axis": _TEXT},
     "method": {"name": _TEXT, "settings": _OPEN},
-    "budget": {"seconds": _NUMBER, "samples": _COUNT, "error": _NUMBER},
+    "budget": {"seconds": _NUMBER, "spp": _COUNT, "samples": _COUNT, "error": _NUMBER},
     "autosave": {"times": _TIMES, "exit_after_last": _SWITCH, "every": _TIME},
     "output": {
         "folder": _TEXT,
@@ -173,8 +173,7 @@ class RunFile:
         """``vcm on cornell-box, 64x64, seconds 300, saves at 20 60 300 s, into results``."""
         width, height = job.problem.size
         parts = [f"{job.method.name} on {self.scene}", f"{width}x{height}"]
-        limits = {"spp" if name == "samples" else name: value for name, value in job.budget.to_dict().items()}
-        parts += [f"{name} {limit**0.5 if name == 'error' else limit:g}" for name, limit in limits.items()]
+        parts += [f"{name} {limit:g}" for name, limit in limits_of(job.budget).items()]
         if self.save_at:
             parts.append(f"saves at {' '.join(f'{t:g}' for t in self.save_at)} s")
         return ", ".join([*parts, f"into {self.folder}"])
