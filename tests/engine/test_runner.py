@@ -184,8 +184,8 @@ def test_progress_speaks_of_time_rate_noise_and_share(timed):
     assert [p.passes for p in seen] == [1, 2, 3, 4, 5]
     assert [p.eta for p in seen] == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
     assert [p.fraction for p in seen] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
-    assert seen[0].relative_error is None
-    assert seen[-1].relative_error > 0
+    assert seen[0].error is None
+    assert seen[-1].error > 0
     assert seen[-1].rays_per_second == pytest.approx(50.0)
     assert "pass 5, 5 spp, 10.0s" in str(seen[-1])
 

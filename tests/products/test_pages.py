@@ -154,11 +154,11 @@ def test_what_a_tracing_has_counted_is_there_once():
     assert "contributions not finite" in result._repr_html_()
 
 
-@pytest.mark.parametrize("noise", [0.00131, 0.00043, 1.9e-4, 2.5e-5, 0.25])
-def test_noise_is_written_the_same_in_progress_and_results(noise):
-    (text,) = [part for part in Progress(relative_error=noise).pace if part.startswith("noise ")]
-    cells = [cell.text for cell in tree(rendering(relative_error=noise)._repr_html_()).iter("td")]
-    assert text.removeprefix("noise ") in cells and "e" not in text.removeprefix("noise ")
+@pytest.mark.parametrize("error", [0.00131, 0.00043, 1.9e-4, 2.5e-5, 0.25])
+def test_an_error_is_written_the_same_in_progress_and_results(error):
+    (text,) = [part for part in Progress(error=error).pace if part.startswith("error ")]
+    cells = [cell.text for cell in tree(rendering(error=error)._repr_html_()).iter("td")]
+    assert text.removeprefix("error ") in cells and "e" not in text.removeprefix("error ")
 
 
 def test_a_check_shows_what_failed_and_how_much_passed():

@@ -51,7 +51,9 @@ def _command() -> Any:
 
 def _without_types(command: Any, parent: Any = None) -> None:
     """Show flags without ``<bool>`` in the help of a command and of those in it."""
-    context = command.make_context(command.name, [], parent=parent, resilient_parsing=True)
+    context = command.context_class(
+        command, parent=parent, **command.context_settings
+    )  # without parsing, which is slow
     for parameter in command.get_params(context):
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""

@@ -133,14 +133,14 @@ def _name_files(product: Picture) -> None:
 
 
 def summary(rendering: Rendering) -> str:
-    """``vcm: 120 passes, 120 spp, 59.8s, 9.2 Mrays/s, noise 0.012``."""
+    """``vcm: 120 passes, 120 spp, 59.8s, 9.2 Mrays/s, error 0.11``."""
     m = rendering.metadata
     passes = f"{m['passes']} pass{'' if m['passes'] == 1 else 'es'}"
     parts = [passes, f"{m['samples']} spp", format_seconds(m["seconds"])]
     if m["rays"] and m["seconds"]:
         parts.append(format_rate(m["rays"] / m["seconds"]))
-    if m["relative_error"] is not None:
-        parts.append(f"noise {m['relative_error']:.2g}")
+    if m["error"] is not None:
+        parts.append(f"error {m['error']:.2g}")
     return f"{m['method']}: {', '.join(parts)}"
 
 

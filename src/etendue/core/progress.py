@@ -23,8 +23,8 @@ class Progress:
     rays: float = 0.0
     #: Rays traced per second in the latest passes.
     rays_per_second: float | None = None
-    #: Estimated noise, see :meth:`Measurement.relative_error`; needs two passes.
-    relative_error: float | None = None
+    #: Estimated relative standard error, the root of :meth:`Method.noise`; needs two passes.
+    error: float | None = None
     #: Share of the budget that is spent, 0 to 1.
     fraction: float | None = None
     #: Passes of each worker of a cluster in this run, by name.
@@ -39,16 +39,14 @@ class Progress:
 
     @property
     def pace(self) -> list[str]:
-        """Time, speed and noise as texts, as far as they are known; for solutions the standard error, whose square is
-        the noise."""
+        """Time, speed and error as texts, as far as they are known."""
         parts = [format_seconds(self.elapsed)]
         if self.eta is not None:
             parts.append(f"ETA {format_seconds(self.eta)}")
         if self.rays_per_second:
             parts.append(format_rate(self.rays_per_second, self.traced))
-        if self.relative_error is not None:
-            error = self.relative_error
-            parts.append(f"error {format_number(math.sqrt(error))}" if self.made else f"noise {format_number(error)}")
+        if self.error is not None:
+            parts.append(f"error {format_number(self.error)}")
         if self.shares:
             parts.append(format_shares(self.shares))
         return parts

@@ -114,7 +114,7 @@ class Stopping:
             eta=min(left, default=None),
             rays=measurement.counters.get("rays", 0.0),
             rays_per_second=rays / seconds if rays > 0 and seconds > 0 else None,
-            relative_error=self._error,
+            error=None if self._error is None else math.sqrt(self._error),
             fraction=min(1.0, max(shares)) if shares else None,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -202,7 +203,7 @@ def developed(run: RunResult, problem: Problem, seed: int) -> Result:
     """The picture of ``run`` with the metadata of its files."""
     result, measurement = run.result, run.measurement
     counters = {k: v for k, v in measurement.counters.items() if k not in ("samples", "seconds", "rays", "nonfinite")}
-    error = measurement.relative_error() if measurement.has_error() else float("nan")
+    variance = measurement.relative_error() if measurement.has_error() else float("nan")
     result.metadata = {
         **result.metadata,
         "method": run.method.name,
@@ -215,7 +216,7 @@ def developed(run: RunResult, problem: Problem, seed: int) -> Result:
         "seconds": round(measurement.counters.get("seconds", run.elapsed), 3),
         "rays": measurement.counters.get("rays", 0.0),
         "nonfinite": measurement.counters.get("nonfinite", 0.0),
-        "relative_error": error if error == error else None,
+        "error": math.sqrt(variance) if variance == variance else None,
         "stopped_by": run.stopped_by,
         **({"counters": counters} if counters else {}),
         "versions": versions(),

@@ -13,6 +13,7 @@ import numpy as np
 from etendue import film, methods
 from etendue.core import Array, OptionError, is_whole, suggest
 from etendue.engine import Budget
+from etendue.products import DEFAULT, budget_of
 from etendue.scene import BundledScene, Problem, graph
 
 from . import saving
@@ -271,9 +272,9 @@ def _settings(session: Session, method: str, values: Any) -> dict[str, Any]:
 
 
 def _budget(values: Any) -> Budget:
-    if not isinstance(values, Mapping) or values.keys() - {"seconds", "samples", "error"}:
-        raise OptionError("a budget has seconds, samples or error")
-    return Budget(values.get("seconds"), values.get("samples"), None, values.get("error"))
+    if not isinstance(values, Mapping) or values.keys() - {"seconds", "spp", "error"}:
+        raise OptionError("a budget has seconds, spp or error")
+    return budget_of(methods.get(DEFAULT), values)
 
 
 def _size(values: Any) -> tuple[int, int]:

@@ -14,7 +14,7 @@ Page to session:
                     target; or ``set`` {origin, target, up, fov}; or ``reset``: true
 ``views``           ``save``: true, ``show``: number or "next", ``remove``: number
 ``pick``            ``x``, ``y``: place in the picture, 0 to 1 from its top left corner; answered by ``picked``
-``render``          any of ``method``, ``settings`` {name: value}, ``budget`` {seconds, samples, error}, ``size``
+``render``          any of ``method``, ``settings`` {name: value}, ``budget`` {seconds, spp, error}, ``size``
                     [width, height] of the film, ``paused``, ``again``: true
 ``show``            any of ``layer``, ``denoise`` (see :func:`etendue.display.parse_filters`; "" for none), ``radius``,
                     ``strength``, ``curve``, ``exposure`` (stops or "auto")

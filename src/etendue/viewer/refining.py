@@ -119,7 +119,7 @@ class Refinement:
             "samples": self.samples,
             "seconds": self.seconds,
             "rays_per_second": progress.rays_per_second,
-            "noise": progress.relative_error,
+            "error": progress.error,
             "done": self.is_done,
         }
 
@@ -156,7 +156,7 @@ class Still:
         return {
             "method": self.method,
             "rays_per_second": None,
-            "noise": about.get("relative_error"),
+            "error": about.get("error"),
             "done": True,
         } | known
 

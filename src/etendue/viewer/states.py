@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import EtendueError
 from etendue.display import part_names
 from etendue.engine import Budget
+from etendue.products import limits_of
 from etendue.scene import Change, LightEdits, Problem, is_described, load, resized
 
 from .camera import Pose, projection
@@ -77,7 +78,7 @@ def state(session: Session) -> dict[str, Any]:
         "method": asked.method if still is None else still.method,
         "settings": dict(asked.settings),
         "scene_settings": _settings(session),
-        "budget": asked.budget.to_dict(),
+        "budget": limits_of(asked.budget),
         "paused": session.paused,
         "preparing": problem is not None and not (isinstance(session.main, Refinement) and session.main.passes),
         "show": vars(session.show),

@@ -19,7 +19,7 @@ _LARGE = 8 << 20
 
 
 class History:
-    """Errors against a reference at times that grow by a ratio and at the end; without a reference the estimated noise.
+    """Errors against a reference at times that grow by a ratio and at the end; without a reference the estimated ones.
 
     :meth:`record` is a callback of the run.
     """
@@ -32,20 +32,20 @@ class History:
     @property
     def error_name(self) -> str:
         """What the errors are, for a page."""
-        return "relMSE" if self._reference is not None else "estimated relMSE"
+        return "relMSE" if self._reference is not None else "estimated error"
 
     def record(self, update: Update) -> None:
         """Note the error after a pass, if it is time."""
-        elapsed, noise = update.progress.elapsed, update.progress.relative_error
-        self._last = elapsed, noise
+        elapsed, error = update.progress.elapsed, update.progress.error
+        self._last = elapsed, error
         if self._points and elapsed < self._points[-1][0] * _RATIO:
             return
         if self._reference is not None:
             image = update.image
             large = image.nbytes > _LARGE
             self._points.append((elapsed, film.relative_mse(image, self._reference) if large else image))
-        elif noise is not None:
-            self._points.append((elapsed, noise))
+        elif error is not None:
+            self._points.append((elapsed, error))
 
     def errors(
         self, final: Image, earlier: Sequence[tuple[float, float]] = (), begun: float = 0.0
@@ -58,8 +58,8 @@ class History:
                 assert self._reference is not None
                 point = film.relative_mse(point, self._reference)
             rows.append((begun + elapsed, point))
-        elapsed, noise = self._last
-        last = noise if self._reference is None else film.relative_mse(final, self._reference)
+        elapsed, error = self._last
+        last = error if self._reference is None else film.relative_mse(final, self._reference)
         if last is not None and elapsed > 0.0:
             rows = [row for row in rows if row[0] < begun + elapsed]
             rows.append((begun + elapsed, last))

@@ -35,7 +35,7 @@ COLUMNS = (
     "passes",
     "samples",
     "rays",
-    "noise",
+    "error",
     "relmse",
     "relmse_trimmed",
     "luminance_rmse",
@@ -173,7 +173,7 @@ class Recorder(Picture):
         """Rows of the table from before the run was resumed."""
         if not self._earlier:
             return []
-        column = "noise" if self._reference is None else "relmse"
+        column = "error" if self._reference is None else "relmse"
         with open(self._run.folder / f"{self._run.name}.csv", encoding="utf-8") as file:
             rows = [(float(row["seconds"]), row[column]) for row in csv.DictReader(file)]
         return [(seconds, float(error)) for seconds, error in rows if error and seconds <= self._earlier]
@@ -218,7 +218,7 @@ class Recorder(Picture):
             "passes": m["passes"],
             "samples": m["samples"],
             "rays": int(m["rays"]),
-            "noise": m["relative_error"],
+            "error": m["error"],
         }
         if self._reference is not None:
             row |= {
@@ -272,8 +272,8 @@ def _words(row: dict[str, Any], trim: float) -> str:
     """A row of the table as text."""
     passes = f"{row['passes']} pass{'' if row['passes'] == 1 else 'es'}"
     parts = [passes, f"{row['samples']} spp", f"{row['rays']:.3g} rays"]
-    if row["noise"] is not None:
-        parts.append(f"noise {row['noise']:.3g}")
+    if row["error"] is not None:
+        parts.append(f"error {row['error']:.3g}")
     if row["relmse"] is not None:
         parts.append(f"relMSE {row['relmse']:.4g} ({row['relmse_trimmed']:.4g} without the worst {100 * trim:g} %)")
         parts.append(f"RMS of luminance {row['luminance_rmse']:.4g}")

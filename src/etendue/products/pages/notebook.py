@@ -58,8 +58,8 @@ def _of_run(known: Mapping[str, Any]) -> dict[str, Any]:
     for name, text in (("scene", str), ("passes", int), ("samples", int), ("seconds", lambda s: time_text(float(s)))):
         if known.get(name) is not None:
             facts["samples per pixel" if name == "samples" else name] = text(known[name])
-    if known.get("relative_error") is not None:
-        facts["estimated relMSE"] = number_text(float(known["relative_error"]))
+    if known.get("error") is not None:
+        facts["error"] = number_text(float(known["error"]))
     if known.get("seconds") and known.get("rays"):
         facts["speed"] = format_rate(float(known["rays"]) / float(known["seconds"]))
     if known.get("nonfinite"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -118,10 +117,9 @@ class PatchProduct(Product[R]):
 
     def described(self, job: Job, progress: Progress) -> Progress:
         """The progress in words, as "3 bundles, 1.2e+06 segments"; notes the error."""
-        if progress.relative_error is not None:
-            error = math.sqrt(progress.relative_error)
-            if not self.history or error != self.history[-1][1]:
-                self.history.append((float(progress.samples), error))
+        error = progress.error
+        if error is not None and (not self.history or error != self.history[-1][1]):
+            self.history.append((float(progress.samples), error))
         if isinstance(job.method, LineCasting):
             count = min(progress.samples, job.method.most or progress.samples)
             made = f"{format_count(count, 'bundle')}, {progress.rays:.3g} segments"

@@ -113,8 +113,8 @@ export function short(value) {
   return String(Number(value.toPrecision(3)));
 }
 
-/** An error or noise, as progress and results in Python write it: three digits, in exponent form below 1e-5 only. */
-export function noise(value) {
+/** An error, as progress and results in Python write it: three digits, in exponent form below 1e-5 only. */
+export function number(value) {
   return value === 0 || Math.abs(value) >= 1e-5 ? value.toPrecision(3) : value.toExponential(2);
 }
 

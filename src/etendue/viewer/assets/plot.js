@@ -1,4 +1,4 @@
-// The convergence plot: noise and error over time, on logarithmic axes.
+// The convergence plot: errors over time, on logarithmic axes.
 
 const NS = 'http://www.w3.org/2000/svg';
 const [WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT] = [320, 190, 44, 30, 8, 8];

@@ -24,7 +24,7 @@ function method(parent, connection, section) {
   const set = (name, value) => connection.send('render', { method: state.method, settings: { ...state.settings, [name]: value } });
   const budget = {};
   const limits = () => Object.fromEntries(Object.entries(budget).map(([name, { input }]) => [name, optional(input.value)]).filter(([, v]) => v !== undefined));
-  for (const [name, label] of [['seconds', 'Seconds'], ['samples', 'Samples'], ['error', 'Noise']]) {
+  for (const [name, label] of [['seconds', 'Seconds'], ['spp', 'Samples'], ['error', 'Error']]) {
     budget[name] = entry(label, '', () => connection.send('render', { budget: limits() }), { inputmode: 'decimal', placeholder: 'no limit' });
   }
   const sides = ['Width', 'Height'].map((label) => entry(label, '', () => connection.send('render', {

@@ -1,7 +1,7 @@
 // The page: connects the parts. The session's state is the truth; controls show it and send what is asked for.
 
 import { Connection } from './connection.js';
-import { controls, fillIn, isTyping, make, noise, numeric, numerics, rate, seconds, section, short } from './controls.js';
+import { controls, fillIn, isTyping, make, number, numeric, numerics, rate, seconds, section, short } from './controls.js';
 import { Plot } from './plot.js';
 import { sections } from './sections.js';
 import { Stage } from './stage.js';
@@ -93,18 +93,19 @@ connection.on('camera', (message) => { camera = message; for (const listener of 
 
 connection.on('progress', (message) => {
   const parts = [message.method, `${message.samples} spp`, seconds(message.seconds), rate(message.rays_per_second)];
-  if (message.noise !== null) parts.push(`noise ${noise(message.noise)}`);
+  if (message.error !== null) parts.push(`error ${number(message.error)}`);
   if (message.other) parts.push(`${message.other.method} ${message.other.samples} spp`);
-  if (message.relmse !== undefined && message.relmse !== null) parts.push(`relMSE ${noise(message.relmse)}`);
+  if (message.relmse !== undefined && message.relmse !== null) parts.push(`relMSE ${number(message.relmse)}`);
   if (message.done) parts.push('done');
   $('progress').textContent = parts.filter(Boolean).join(' · ');
   document.body.dataset.passes = message.passes;
   const key = `${message.method}|${message.other?.method ?? compared?.reference ?? ''}`;
   if (key !== plotted || message.passes < (plot.passes ?? 0)) { plot.clear(); plotted = key; }
   plot.passes = message.passes;
-  plot.add(`noise of ${message.method}`, message.seconds, message.noise);
-  if (message.other) plot.add(`noise of ${message.other.method}`, message.other.seconds, message.other.noise);
-  plot.add(compared?.reference ? 'error against the reference' : 'error between them', message.seconds, message.relmse);
+  plot.add(`estimated error of ${message.method}`, message.seconds, message.error);
+  if (message.other) plot.add(`estimated error of ${message.other.method}`, message.other.seconds, message.other.error);
+  const between = message.relmse === undefined || message.relmse === null ? null : Math.sqrt(message.relmse);
+  plot.add(compared?.reference ? 'error against the reference' : 'error between them', message.seconds, between);
   plot.draw();
 });
 
