@@ -8,7 +8,7 @@ from typing import Any
 
 from typer.core import TyperCommand
 
-from etendue.core import OptionError
+from etendue.core import OptionError, suggest
 
 from .options import parse_pairs
 
@@ -24,9 +24,9 @@ def with_settings(settings_of: SettingsOf, default: str | None = None) -> type[T
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            own = {word for parameter in self.params for word in (*parameter.opts, *parameter.secondary_opts)}
+            own = {word for known in self.get_params(ctx) for word in (*known.opts, *known.secondary_opts)}
             ctx.meta["words"] = list(args)
-            parsed: list[str] = super().parse_args(ctx, list(_rewritten(list(args), own, settings_of)))
+            parsed: list[str] = super().parse_args(ctx, list(_rewritten(list(args), own, settings_of, default)))
             return parsed
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -51,8 +51,9 @@ def settings_in(define: list[str] | None) -> dict[str, Any]:
     return pairs
 
 
-def _rewritten(words: list[str], own: set[str], settings_of: SettingsOf) -> Iterator[str]:
-    """The words of a command, with settings as ``-D`` and with the names that are meant where none are given."""
+def _rewritten(words: list[str], own: set[str], settings_of: SettingsOf, default: str | None) -> Iterator[str]:
+    """The words of a command, with settings as ``-D`` and with the names that are meant where none are given. Raises
+    :class:`OptionError` for an option that neither the command nor a method has."""
     kinds: dict[str, str] | None = None
     waiting = iter(range(len(words)))
     for k in waiting:
@@ -64,18 +65,33 @@ def _rewritten(words: list[str], own: set[str], settings_of: SettingsOf) -> Iter
                 yield _UNNAMED[word]
             continue
         if kinds is None:
-            kinds = {n: kind for s in settings_of().values() for n, kind, _, _ in reversed(s.describe())}
+            kinds = _kinds(settings_of(), _method_in(words, default))
         name = option[2:].replace("-", "_")
         if name.startswith("no_") and name[3:] in kinds and not equals:
             yield from ("-D", f"{name[3:]}=false")
         elif name not in kinds:
-            yield word  # which is refused
+            known = [*(o for o in own if o.startswith("--")), *(f"--{name.replace('_', '-')}" for name in kinds)]
+            hint = suggest(option, sorted(known))
+            raise OptionError(f"there is no option '{option}'; {hint if hint.startswith('did') else '-h lists them'}")
         elif equals or kinds[name] == "bool":
             yield from ("-D", f"{name}={value or 'true'}")
         elif k + 1 == len(words):
             raise OptionError(f"{option} needs a value")
         else:
             yield from ("-D", f"{name}={words[next(waiting)]}")
+
+
+def _method_in(words: list[str], default: str | None) -> str | None:
+    """The method that is named, or the default one."""
+    return next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("-m", "--method")), default)
+
+
+def _kinds(methods: Mapping[str, Any], named: str | None) -> dict[str, str]:
+    """The types of all settings, where methods differ that of the ``named`` method."""
+    found = {name: kind for settings in methods.values() for name, kind, _, _ in settings.describe()}
+    if named is not None and named in methods:
+        found |= {name: kind for name, kind, _, _ in methods[named].describe()}
+    return found
 
 
 def _is_alone(words: list[str], k: int) -> bool:
@@ -99,7 +115,7 @@ def _show_settings(methods: Mapping[str, Any], words: list[str], named: str | No
     from rich.panel import Panel
     from rich.table import Table
 
-    named = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("-m", "--method")), named)
+    named = _method_in(words, named)
     kinds = [methods[named]] if named is not None and named in methods else list(methods.values())
     names = [name for name in kinds[0].names() if all(name in kind.names() for kind in kinds)]
     table = Table(box=None, show_header=False, pad_edge=False)
