@@ -35,8 +35,22 @@ def command_line() -> str:
     return shlex.join(["etendue", *_ARGUMENTS.get()])
 
 
+#: Whether only paths of files, warnings and errors are printed.
+_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
+
+
+def be_quiet(quiet: bool) -> None:
+    """Whether to print only paths of files, warnings and errors from now on."""
+    _QUIET.set(quiet)
+
+
 def error_console() -> Console:
     """The console of progress, warnings and errors: standard error."""
+    return Console(stderr=True, highlight=False, quiet=_QUIET.get())
+
+
+def warning_console() -> Console:
+    """The console of warnings and errors, which are always printed."""
     return Console(stderr=True, highlight=False)
 
 
@@ -71,7 +85,7 @@ class ProgressView:
         self._label = label
         self._bar: RichProgress | None = None
         self._task = TaskID(0)
-        self._next_line = 1.0
+        self._next_line, self._next_step, self._step = 1.0, 2.0, ""
         self._began = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -104,6 +118,11 @@ class ProgressView:
             self._bar.update(self._task, **self._fields(progress, prepared))
             return
         now = time.monotonic() - self._began
+        if not progress.passes and now >= self._next_step:
+            step = "first pass, compiling" if prepared else "loading the scene"
+            if step != self._step:
+                self._step = step
+                note(self._console, f"{self._label}: {step}")
         if progress.passes and now >= self._next_line:
             self._next_line = min(max(now * _LINE_RATIO, 1.0), now + _LINE_EVERY)
             share = f"{100 * progress.fraction:3.0f} %  " if progress.fraction is not None else ""

@@ -15,10 +15,19 @@ from typing import Annotated, Any
 
 import typer
 
-from etendue.core import EtendueError, describe, logger
+from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
-from .console import ConsoleHandler, error_console, note, print_error, remember_arguments, say
+from .console import (
+    ConsoleHandler,
+    be_quiet,
+    error_console,
+    note,
+    print_error,
+    remember_arguments,
+    say,
+    warning_console,
+)
 from .developing import develop
 from .film_picture import film_picture
 from .inspection.viewing import view
@@ -29,7 +38,6 @@ from .pictures import PictureCommand, compare, demo, render, run
 
 app = typer.Typer(
     name="etendue",
-    help="Global illumination for Mitsuba 3 scenes: path, light and bidirectional path tracing, VCM.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -65,8 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     remember_arguments(words)
+    be_quiet(False)
     debug = "--debug" in words  # read here, since it also applies to errors in other options
-    handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
+    handler = ConsoleHandler(warning_console(), logging.DEBUG if debug else logging.WARNING)
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG if debug else logging.WARNING)
@@ -115,9 +124,18 @@ def root(
     version: Annotated[
         bool, typer.Option("--version", help="Show versions and exit.", callback=_show_version, is_eager=True)
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only the paths of files, warnings and errors.")
+    ] = False,
     debug: opt.Debug = False,
 ) -> None:
-    """Options of the command itself."""
+    """Global illumination for Mitsuba 3 scenes: pictures, form factors, radiosity, particles.
+
+    Exit status: 0 done; 1 an error that the message explains, or `check` and `diff --limit` have found faults; 2 wrong
+    options; 8 the power of a solution is not balanced; 70 an unexpected error; 130 and 143 ended by Ctrl-C or SIGTERM,
+    with what was done written; 141 the reader of a pipe has gone.
+    """
+    be_quiet(quiet)
 
 
 app.command(cls=PictureCommand)(render)
@@ -220,11 +238,52 @@ def methods(
 
 
 @app.command()
-def scenes(debug: opt.Debug = False) -> int:
-    """List the bundled scenes."""
-    from .inspection.listings import show_scenes
+def scenes(
+    name: Annotated[str | None, typer.Argument(help="A bundled scene, to be written.", metavar="[NAME]")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Mitsuba XML; meshes and textures go into a folder.", metavar="FILE.xml"),
+    ] = None,
+    debug: opt.Debug = False,
+) -> int:
+    """List the bundled scenes, or write one as XML for Mitsuba."""
+    from .inspection.listings import show_scenes, write_scene
 
-    return show_scenes()
+    if name is None:
+        if output is not None:
+            raise OptionError("-o writes a scene: name it")
+        return show_scenes()
+    return write_scene(name, output or Path(f"{name}.xml"))
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="Picture, checkpoint, particles, solution or factors.", metavar="FILE")],
+    json: Annotated[bool, typer.Option("--json", help="Write all of it as JSON to standard output.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Show what is in a file: layers and how a picture was made, a checkpoint, particles on each shape."""
+    from .inspection.files import show_info
+
+    return show_info(file, json)
+
+
+@app.command()
+def diff(
+    picture: Annotated[Path, typer.Argument(metavar="PICTURE")],
+    reference: Annotated[Path, typer.Argument(metavar="REFERENCE")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Relative errors in false colours.", metavar="FILE.png")
+    ] = None,
+    limit: Annotated[
+        float | None, typer.Option("--limit", help="Exit status 1 if relMSE is above this.", metavar="X")
+    ] = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Show how far a picture is from a reference: relMSE, FLIP, luminance, bias."""
+    from .inspection.files import show_difference
+
+    return show_difference(picture, reference, output, limit)
 
 
 @app.command()

@@ -15,16 +15,13 @@ from .settings import settings_in, with_settings
 
 if TYPE_CHECKING:
     from etendue.engine import Checkpoint, Task
-    from etendue.particles import ParticleFile
     from etendue.products.particles import ParticleResult
 
 app = typer.Typer(
-    help="Trace particles, the hits of light paths on surfaces, into files; look at these files and pack them.",
+    help="Trace particles, the hits of light paths on surfaces, into files; pack these files, and make maps of them.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-#: Shapes that `info` lists, those with most particles.
-_LISTED = 20
 
 CodecName = Annotated[
     str,
@@ -114,63 +111,6 @@ def _boxes(text: str | None, has_workers: bool) -> tuple[int, int, int] | None:
 
 
 @app.command()
-def info(
-    file: Annotated[Path, typer.Argument(help="File of particles.", metavar="FILE")],
-    json: Annotated[bool, typer.Option("--json", help="Write all of it as JSON to standard output.")] = False,
-    debug: opt.Debug = False,
-) -> int:
-    """Show scene, counts, codec, bounds of loss, and the particles on each shape, without unpacking them."""
-    from etendue.particles import ParticleFile
-
-    known = ParticleFile(file)
-    found = _described(known)
-    if json:
-        import json as writer
-
-        say(writer.dumps(found, indent=1))
-        return 0
-    from rich.markup import escape
-    from rich.table import Table
-
-    count, settings = found["particles"], ", ".join(f"{k}={v}" for k, v in found["settings"].items())
-    rows = [
-        ("scene", f"{found['scene']}, fingerprint {found['fingerprint']}, seed {found['seed']}"),
-        ("particles", f"{count} of {found['paths']} light paths in {found['passes']} passes; {found['state']}"),
-        ("power", " ".join(f"{x:.6g}" for x in found["power"]) + " W incident on all surfaces (red, green, blue)"),
-        ("size", f"{known.size} bytes, {known.size / max(count, 1):.2f} a particle; codec {found['codec']}"),
-    ]
-    if found["bounds"]:
-        b = found["bounds"]
-        rows.append(
-            (
-                "loss",
-                f"position {b['position']:.2g} (scene units), direction {b['direction']:.2g} rad, power "
-                f"{b['power']:.2g} of its largest channel",
-            )
-        )
-    rows.append(("settings", settings))
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for row in rows:
-        table.add_row(*map(escape, row))
-    shapes = Table("", "shape", "particles", "share", "a unit of area", box=None, pad_edge=False, title_justify="left")
-    listed = sorted(found["shapes"], key=lambda shape: -shape["particles"])
-    for shape in [s for s in listed if s["particles"]][:_LISTED]:
-        area = shape["area"]
-        shapes.add_row(
-            str(shape["index"]),
-            escape(shape["name"]),
-            str(shape["particles"]),
-            f"{shape['particles'] / count:.2%}",
-            f"{shape['particles'] / area:.4g}" if area else "",
-        )
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    console.print(table, "", shapes)
-    return 0
-
-
-@app.command()
 def compress(
     file: Annotated[Path, typer.Argument(help="File of particles.", metavar="FILE")],
     output: NewFile,
@@ -225,37 +165,3 @@ def _summary(result: ParticleResult, size: int) -> str:
     particles, paths = (int(result.counters[name]) for name in ("particles", "paths"))
     seconds = format_seconds(result.elapsed)
     return f"{particles} particles of {paths} light paths, {seconds}, {size / max(particles, 1):.2f} bytes a particle"
-
-
-def _described(known: ParticleFile) -> dict[str, Any]:
-    import json
-
-    state = "finished" if known.is_finished else "not finished, whole passes only"
-    if known.ending.get("stopped_by") in ("cancel", "failure"):
-        state = "stopped early"
-    areas, counts = known.surfaces.areas, known.counts
-    return {
-        "scene": known.header["scene"],
-        "fingerprint": known.header["fingerprint"],
-        "seed": known.header["seed"],
-        "settings": json.loads(known.header["settings"]),
-        "versions": known.header["versions"],
-        "particles": len(known),
-        "paths": known.paths,
-        "passes": len(known.passes),
-        "state": state,
-        "power": [float(x) for x in known.power],
-        "bytes": known.size,
-        "codec": str(known.codec),
-        "codecs_before": known.header.get("before", []),
-        "bounds": known.bounds,
-        "shapes": [
-            {
-                "index": k,
-                "name": name,
-                "particles": int(counts[k]),
-                "area": float(areas[k]) if areas[k] > 0 else None,
-            }
-            for k, name in enumerate(known.surfaces.names)
-        ],
-    }

@@ -102,8 +102,9 @@ def render(
 
 
 def run(
-    file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
+    file: Annotated[Path | None, typer.Argument(help="Run file in TOML; --example shows one.", metavar="FILE")] = None,
     check: Annotated[bool, typer.Option("--check", help="Only check the file and the files that it names.")] = False,
+    example: Annotated[bool, typer.Option("--example", help="Print a run file with all its keys.")] = False,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -116,9 +117,14 @@ def run(
     from etendue.engine import Job
 
     from .experiments.records import Recorder
-    from .experiments.run_file import RunFile
+    from .experiments.run_file import EXAMPLE, RunFile
     from .running import choose_device, render_to_files
 
+    if example:
+        say(EXAMPLE)
+        return 0
+    if file is None:
+        raise OptionError("name a run file; `etendue run --example` prints one")
     wanted, console = RunFile.read(file), error_console()
     choose_device(wanted.variant, wanted.threads, wanted.low_priority)
     notes: list[str] = []  # shown after all checks

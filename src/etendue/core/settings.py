@@ -51,6 +51,13 @@ def setting(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+#: Names that are often taken for settings, and what they are.
+_OF_SCENES: Mapping[str, str] = {
+    name: f"it is an option of the run (--{meant}, {meant}=), not of a method; a $variable of the scene's XML is a parameter (-P)"
+    for name, meant in {"spp": "spp", "samples": "spp", "resx": "size", "resy": "size", "seed": "seed"}.items()
+}
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Base of every settings class. Construction checks types and ranges and raises :class:`OptionError`."""
@@ -75,6 +82,8 @@ class Settings:
         for name in values:
             if name not in cls.names():
                 hint = suggest(name, cls.names(), "it has")
+                if name in _OF_SCENES:
+                    hint = _OF_SCENES[name]
                 raise OptionError(f"{owner or cls.__name__} has no option '{name}'; {hint}")
         return cls(**values)
 

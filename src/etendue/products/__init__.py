@@ -26,6 +26,7 @@ from .registry import (
     choose_method as choose_method,
     chosen as chosen,
     count_of as count_of,
+    current as current,
     find as find,
     limits_of as limits_of,
     table as table,

@@ -72,6 +72,57 @@ TABLES: Mapping[str, Mapping[str, _Kind]] = {
 }
 
 
+#: A run file with all keys.
+EXAMPLE = """\
+# Only [scene] is required; paths are relative to this file.
+seed = 1
+threads = 4
+low_priority = false
+memory = "2G"              # limit on what the method stores
+# variant = "llvm_ad_rgb"
+
+[scene]
+bundled = "cornell-glass"  # or file = "scene.xml"
+sensor = 0
+size = [256, 256]
+# parameters = { res = 256 }   the $variables of an XML file
+
+# [camera]                 in place of the scene's
+# origin = [0, 1, 4]
+# target = [0, 0.4, 0]
+# up = [0, 1, 0]
+# fov = 45                 along fov_axis = "x" or "y"
+
+[method]
+name = "vcm"
+
+[method.settings]
+max_depth = 12
+
+[budget]                   # the first limit that is reached ends the run
+seconds = 60
+# spp = 1000
+# error = 0.05             relative standard error of the pixels
+
+[autosave]
+times = [5, 20, 60]        # seconds
+every = 60                 # seconds between periodic saves, 0 for none
+# exit_after_last = true
+
+[output]
+folder = "results"
+name = "glass"
+layers = "together"        # or "separate"
+png = true
+checkpoint = true
+page = true
+
+# [reference]
+# file = "reference.exr"
+# trim = 0.001
+"""
+
+
 @dataclass(frozen=True)
 class RunFile:
     """A run file, read and checked."""

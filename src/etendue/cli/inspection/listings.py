@@ -6,13 +6,14 @@ import inspect
 import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from etendue import methods
-from etendue.core import bibtex
+from etendue.core import OptionError, bibtex, use_variant
 from etendue.products import FACTORS, PARTICLES, SOLUTIONS, find
 
 from ..console import say
@@ -72,6 +73,21 @@ def show_scenes() -> int:
         table.add_row(name, scene.description)
     Console(highlight=False).print(table)
     say("\nAll are built by code and have the licence of the library (BSD 3-clause).")
+    say("As XML for Mitsuba: etendue scenes NAME -o FILE")
+    return 0
+
+
+def write_scene(name: str, path: Path) -> int:
+    """Write a bundled scene as XML, with its meshes and textures in a folder beside it."""
+    from etendue.film import write_bytes
+    from etendue.scene import bundled_scene, scene_xml
+
+    if path.suffix.lower() != ".xml":
+        raise OptionError(f"a scene is written as .xml, not as '{path.name}'")
+    use_variant()
+    folder = path.with_name(f"{path.stem}-files")
+    write_bytes(path, scene_xml(bundled_scene(name), folder=folder.absolute()).encode())
+    say(str(path))
     return 0
 
 

@@ -170,7 +170,8 @@ class SolutionRun(PatchRun):
         names = ("solver", "ambient", "bounces", "sub_scenes", "objects", "max_area", "mesh", "groups", "parameters")
         named |= {name: getattr(self, name) for name in (*names, "divide")} | dict(self.settings)
         named["seed"] = self.seed or None
-        return {name: value for name, value in named.items() if value not in (None, False, {})}
+        plain = {name: _given(value) for name, value in named.items()}
+        return {name: value for name, value in plain.items() if value not in (None, False, {})}
 
     def _check(self, method: str, at_once: bool) -> None:
         if at_once:
@@ -190,6 +191,13 @@ class SolutionRun(PatchRun):
             raise OptionError("objects is for boxes and sub-scenes: give method boxes, or sub_scenes")
         if self.divide and method != BOXES:
             raise OptionError("divide puts boxes on workers: give method boxes, too")
+
+
+def _given(value: Any) -> Any:
+    """A value, or of a mapping what is given in it."""
+    if not isinstance(value, Mapping):
+        return value.tolist() if isinstance(value, np.ndarray) else value
+    return {name: inner for name, inner in value.items() if inner is not None and inner is not False}
 
 
 def without_hierarchy(run: FactorRun | SolutionRun, hierarchy: Any) -> None:
