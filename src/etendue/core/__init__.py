@@ -56,6 +56,7 @@ from .progress import (
     format_shares as format_shares,
 )
 from .records import PassKey as PassKey, Record as Record, RecordFile as RecordFile
+from .reprs import short_repr as short_repr
 from .samples import (
     COMPONENTS_PER_VERTEX as COMPONENTS_PER_VERTEX,
     IndependentSource as IndependentSource,

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from .frozen import uncollected
 from .measurement import Measurement
 from .notebooks import InNotebooks
+from .reprs import short_repr
 
 
+@short_repr
 @dataclass
 class Result(InNotebooks):
     """A developed measurement: layers of shape (height, width, channels), float32. ``layers["image"]`` is the picture;

@@ -53,7 +53,7 @@ def setting(
 
 #: Names that are often taken for settings, and what they are.
 _OF_SCENES: Mapping[str, str] = {
-    name: f"it is an option of the run (--{meant}, {meant}=), not of a method; a $variable of the scene's XML is a parameter (-P)"
+    name: f"it is an option of the run, --{meant}, not of a method; a $variable of the scene's XML is a parameter, -P"
     for name, meant in {"spp": "spp", "samples": "spp", "resx": "size", "resy": "size", "seed": "seed"}.items()
 }
 

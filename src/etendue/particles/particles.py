@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import InNotebooks
+from etendue.core import InNotebooks, short_repr
 
 from .errors import ParticleError
 
@@ -44,6 +44,7 @@ def columns_of(name: str) -> slice:
     raise KeyError(name)
 
 
+@short_repr
 @dataclass(frozen=True)
 class Particles(InNotebooks):
     """Hits of light paths on surfaces. The summed power of the particles on a surface estimates its incident flux.

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.core import short_repr
+
 from .faces import repeated
 from .patches import Patches
 
 Index = NDArray[np.int64]
 
 
+@short_repr
 @dataclass(frozen=True)
 class MeshDiagnosis:
     """The result of :func:`diagnose`. Vertices at the same position count as one.

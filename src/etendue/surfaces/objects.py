@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, library, suggest
+from etendue.core import Array, library, short_repr, suggest
 
 from .errors import PatchError
 from .patches import Patches
@@ -26,6 +26,7 @@ _NEAR = 0.02
 _COVERS = 0.5
 
 
+@short_repr
 @dataclass(frozen=True)
 class Objects:
     """The object of each patch; see :func:`find_objects`.

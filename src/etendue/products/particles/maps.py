@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
-from etendue.core import Array, InNotebooks, OptionError, free_memory
+from etendue.core import Array, InNotebooks, OptionError, free_memory, short_repr
 from etendue.particles import Particles
 from etendue.scene import Problem, load
 from etendue.surfaces import (
@@ -55,6 +55,7 @@ class MapOptions:
             raise OptionError(f"a map of neighbours has the boundaries renormalise and none, not '{self.boundary}'")
 
 
+@short_repr
 @dataclass(frozen=True)
 class MadeMap(InNotebooks):
     """A map, its surfaces, and the number of particles."""

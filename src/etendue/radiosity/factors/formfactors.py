@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, InNotebooks, free_memory, sparse
+from etendue.core import Array, InNotebooks, free_memory, short_repr, sparse
 from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
@@ -27,6 +27,7 @@ NUMBERS = ("face", "label", "name")
 ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal", "pooled")
 
 
+@short_repr
 @dataclass(frozen=True)
 class FormFactors(InNotebooks):
     """F_ij, the share of the light that leaves patch ``i`` and arrives at patch ``j`` directly.

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, copied_to_device, seed_key
+from etendue.core import Array, copied_to_device, seed_key, short_repr
 from etendue.points import Independent, OwenSobol, PointSet
 from etendue.surfaces import BATCH, Patches, RayScene, RaySource, Sides, cosine_lanes, pairs_of
 
@@ -38,6 +38,7 @@ _NEAR = 0.3
 _MOST = 0.5
 
 
+@short_repr
 @dataclass(frozen=True)
 class FirstShot:
     """Light of emitters, sent once by local lines.

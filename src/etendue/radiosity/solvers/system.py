@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from etendue.core import Array, InNotebooks, free_memory
+from etendue.core import Array, InNotebooks, free_memory, short_repr
 from etendue.surfaces import AmbientTerm, Patches
 
 from ..ambient.spreading import spread
@@ -37,6 +37,7 @@ class Transport(Ends, Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True)
 class Solution(InNotebooks):
     """Radiosities of patches.
