@@ -360,7 +360,8 @@ def trace_particles(
     if boxes is not None and (cluster, workers) == (None, None):
         raise OptionError("a scene is divided among workers: give workers or cluster with boxes")
     product = ParticleProduct(None if save is None else Path(save), particles, codec, boxes)
-    source = SceneSource(scene, parameters=parameters, memory=memory, merge=boxes is None)
+    # Shapes keep their names.
+    source = SceneSource(scene, parameters=parameters, memory=memory, merge=False)
     use_variant(variant)
     return _run(Task(source, kind, product, settings, seed, budget), callback, cluster, workers, wait)
 

@@ -52,6 +52,8 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
             (job, run), status = outcome.result, outcome.exit_code
             with Steps(error_console(), "counting") as steps:
                 result = product.finish(job, run, steps.update)
+            if status and (kept := product.checkpoint or product.if_stopped) is not None:
+                _note(f"to go on: etendue resume {kept}")
     if isinstance(result, FormFactorResult):
         _describe_factors(product, result)
     else:
@@ -101,7 +103,7 @@ def _ended_by_a_signal(product: PatchProduct[Any]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        left, checkpoint = "nothing was written", product.checkpoint
+        left, checkpoint = "nothing was written", product.checkpoint or product.if_stopped
         if written := [str(path) for path in product.files if path.exists() and path.stat().st_mtime >= began]:
             left = f"written: {', '.join(written)}"
         if checkpoint is not None and checkpoint.exists():

@@ -102,6 +102,14 @@ def limits(time: float | None = None, error: float | None = None, **counts: floa
     return {name: value for name, value in given.items() if value is not None}
 
 
+def checkpoint_beside(output: Path, checkpoint: Path | None, no_checkpoint: bool) -> Path | None:
+    """The checkpoint beside an output, ``None`` if another one is named, or none is wanted. Raises
+    :class:`OptionError` if both are asked for."""
+    if no_checkpoint and checkpoint is not None:
+        raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
+    return None if no_checkpoint or checkpoint is not None else output.with_suffix(".checkpoint")
+
+
 def parse_exposure(text: str | float) -> float | str:
     """Stops, or ``auto``. Raises :class:`OptionError`."""
     text = str(text).strip()
@@ -223,6 +231,7 @@ Workers = Annotated[
         "--workers", help="Make the passes in so many processes, which share the threads.", min=1, metavar="N"
     ),
 ]
+NoCheckpoint = Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")]
 SaveEvery = Annotated[
     float | None,
     typer.Option(

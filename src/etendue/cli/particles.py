@@ -92,7 +92,8 @@ def trace(
         raise OptionError("--paths and --particles limit the same; give one of them")
     product = ParticleProduct(file, particles, codec, cut)
     found = locate(scene, lambda text: note(error_console(), text))
-    source = SceneSource(found, parameters=opt.parse_pairs(param, "-P"), memory=memory, merge=cut is None)
+    # Shapes keep their names.
+    source = SceneSource(found, parameters=opt.parse_pairs(param, "-P"), memory=memory, merge=False)
     budget = budget_of(kind, opt.limits(time, paths=paths))
     return trace_to_file(
         Task(source, kind, product, settings_in(define), seed, budget), opt.Device(variant, threads, cluster, workers)

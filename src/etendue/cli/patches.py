@@ -45,7 +45,13 @@ Bundles = Annotated[
     ),
 ]
 CheckpointFile = Annotated[
-    Path | None, typer.Option("--checkpoint", help="Save the lines, for `etendue resume`.", metavar="FILE")
+    Path | None,
+    typer.Option(
+        "--checkpoint",
+        help="Checkpoint for `etendue resume`; by default beside the first output. Of lines, which take much room, it "
+        "is written only if the run ends early, unless it is named here.",
+        metavar="FILE",
+    ),
 ]
 MaxArea = Annotated[float | None, typer.Option("--max-area", help="Subdivide faces larger than this.", metavar="AREA")]
 Reflectance = Annotated[
@@ -140,6 +146,7 @@ def form_factors(
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
     checkpoint: CheckpointFile = None,
+    no_checkpoint: opt.NoCheckpoint = False,
     save_every: opt.SaveEvery = 60.0,
     variant: opt.Variant = None,
     param: opt.Param = None,
@@ -157,6 +164,7 @@ def form_factors(
 
     from .lines import run_on_patches
 
+    files = tuple(output or [Path("factors.npz")])
     run = FactorRun(
         source=mesh,
         method="exact" if exact else method,
@@ -165,12 +173,13 @@ def form_factors(
         estimator=estimator,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
-        outputs=tuple(output or [Path("factors.npz")]),
+        outputs=files,
         seed=seed or 0,
         max_area=max_area,
         mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
+        checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
         save_every=save_every,
         is_watched=error_console().is_terminal,
     )
@@ -313,6 +322,7 @@ def radiosity(
         ),
     ] = None,
     checkpoint: CheckpointFile = None,
+    no_checkpoint: opt.NoCheckpoint = False,
     save_every: opt.SaveEvery = 60.0,
     variant: opt.Variant = None,
     param: opt.Param = None,
@@ -373,6 +383,7 @@ def radiosity(
         },
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
+        checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),
         save_every=save_every,
         is_watched=error_console().is_terminal,
     )

@@ -56,7 +56,7 @@ def render(
         Path | None,
         typer.Option(help="Checkpoint for `etendue resume`; by default beside the first picture.", metavar="FILE"),
     ] = None,
-    no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
+    no_checkpoint: opt.NoCheckpoint = False,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
     tev: opt.Tev = None,
@@ -75,8 +75,6 @@ def render(
 
     from .running import choose_device, default_name, render_to_files, shown_in_tev
 
-    if no_checkpoint and checkpoint is not None:
-        raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
     limits = opt.limits(time, error, spp=spp)
     choose_device(variant, threads, low_priority)
@@ -85,8 +83,7 @@ def render(
     chosen = choose_method(method, found, parameters, notes.append)
     source = SceneSource(found, size, sensor, parameters, memory)
     pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
-    beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
-    kept = None if no_checkpoint else checkpoint or beside
+    kept = checkpoint or opt.checkpoint_beside(pictures[0], checkpoint, no_checkpoint)
     product = Picture.of(pictures, kept, save_every, False, tone, exposure)
     task = picture_task(source, chosen, product, settings, seed, budget_of(chosen, limits))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from etendue.core import OptionError, logger
 from etendue.particles import ParticleFile, Particles
-from etendue.scene import Problem, found, load, locate
+from etendue.scene import Problem, SceneSource
 
 #: Particles that are added at once.
 _BATCH = 1 << 20
@@ -80,14 +80,10 @@ class FileSource:
         changed: the particles may still lie on its surfaces.
         """
         place = self.file.header["place"]
-        parameters = parameters or place.get("parameters")
-        if scene is None:
-            if not {"source", "bundled"} & place.keys():
-                raise OptionError(f"'{self.file.path}' was traced in a scene in memory; give the scene")
-            scene = found(place)
-        elif isinstance(scene, (str, os.PathLike)):
-            scene = locate(scene, logger.debug)
-        problem = load(scene, parameters=parameters, memory=memory)
+        if scene is None and not {"source", "bundled"} & place.keys():
+            raise OptionError(f"'{self.file.path}' was traced in a scene in memory; give the scene")
+        source = SceneSource.at(place, scene)
+        problem = replace(source, parameters=parameters or source.parameters, memory=memory).open(logger.debug)
         if not self.file.is_of(problem):
             logger.warning(
                 "%s: the scene '%s' has changed since its particles were traced, or is another one",

@@ -39,12 +39,14 @@ COUNTED = {
 class PatchProduct(Product[R]):
     """Base of :class:`FormFactorProduct` and :class:`SolutionProduct`.
 
-    source: its name, for messages. checkpoint: with it, lines are stored in a folder beside it instead of memory.
+    checkpoint: with it, lines are stored in a folder beside it instead of memory. if_stopped: where a checkpoint is
+    written in place of that if the run ends early, by a cancel or a failure.
     is_watched: whether errors are estimated during the run even if no budget asks for them. settings: those that were
     asked for, for the metadata of files. on_segments: receives the number of bundles and their segments.
     """
 
     checkpoint: Path | None = None
+    if_stopped: Path | None = None
     save_every: float | None = None
     is_watched: bool = False
     asked: dict[str, Any] = field(default_factory=dict)
@@ -136,7 +138,7 @@ class PatchProduct(Product[R]):
         says where it is."""
         if isinstance(job.method, LineCasting):
             job.method.close()
-        if (path := self.checkpoint) is None:
+        if (path := self.checkpoint or self.if_stopped) is None:
             return
         try:
             job.checkpoint(run).write(path)
@@ -155,13 +157,16 @@ class PatchProduct(Product[R]):
             job.method.close()
         writing = Writing()
         with self._all_kept(job, run):
-            if (path := self.checkpoint) is not None:
+            if (path := self._kept_at(run)) is not None:
                 with writing.attempt(f"write '{path}'"):
                     job.checkpoint(run).write(path)
                     self._saved = path
             result = self._make(job, run, writing, tell)
             writing.finish()
         return result
+
+    def _kept_at(self, run: RunResult) -> Path | None:
+        return self.checkpoint or (self.if_stopped if run.stopped_by == "cancel" else None)
 
     @abstractmethod
     def at_once(

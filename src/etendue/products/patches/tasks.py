@@ -49,6 +49,8 @@ class PatchRun:
     parameters: Mapping[str, Any] | None = None
     objects: Any = None
     checkpoint: Path | None = None
+    #: By default a checkpoint is here; of lines, which take much room, only if the run ends early.
+    checkpoint_beside: Path | None = None
     save_every: float | None = None
     is_watched: bool = False
 
@@ -66,9 +68,13 @@ class PatchRun:
         names = ("source", "max_area", "mesh", "parameters", "objects")
         return {name: getattr(self, name) for name in names}
 
-    def _common(self) -> dict[str, Any]:
+    def _common(self, method: str) -> dict[str, Any]:
         """Arguments of the product."""
-        return {name: getattr(self, name) for name in ("checkpoint", "save_every", "is_watched")}
+        common = {name: getattr(self, name) for name in ("checkpoint", "save_every", "is_watched")}
+        if self.checkpoint is None and method not in (EXACT, AMBIENT):
+            stores_lines = method in FACTORS  # also of solutions
+            common["if_stopped" if stores_lines else "checkpoint"] = self.checkpoint_beside
+        return common
 
     def _refuse_limits(self, what: str) -> None:
         names = [name for name, value in self.limits.items() if value is not None]
@@ -101,7 +107,7 @@ class FactorRun(PatchRun):
             self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
         source = PatchSource(**self._given(), walls=self.walls)
         estimator = self.estimator or ("F4" if around else "F1")
-        product = FormFactorProduct(**self._common(), estimator=estimator, outputs=self.outputs)
+        product = FormFactorProduct(**self._common(method), estimator=estimator, outputs=self.outputs)
         if method == EXACT:
             self._refuse_limits("exact form factors")
             product.check_files(False)
@@ -137,7 +143,7 @@ class SolutionRun(PatchRun):
             )
         self._check(method, at_once)
         product = SolutionProduct(
-            **self._common(),
+            **self._common(method),
             solver=self.solver,
             ambient=self.ambient,
             bounces=self.bounces,
