@@ -13,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from etendue.jobs import Outputs
 from support import passes
 from support.run_files import SCENE, example
 
-from etendue import api, film
+import etendue
+from etendue import film
 from etendue.cli.main import main
 from etendue.core import OutputError, Result
 from etendue.engine import Checkpoint
+from etendue.products import Picture
 
 BOX = '[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n[method]\nname = "path"\n'
 
@@ -28,7 +29,7 @@ BOX = '[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n[method]\nname = "path
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("etendue.cli.rendering.set_threads", lambda count: None)  # that of the session stays
+    monkeypatch.setattr("etendue.cli.running.set_threads", lambda count: None)  # that of the session stays
     return tmp_path
 
 
@@ -44,7 +45,7 @@ def test_a_run_keeps_pictures_at_their_times_and_the_error_over_time(folder, cap
     Path("a.toml").write_text(
         'seed = 5\n[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n'
         '[method]\nname = "bpt"\nsettings = {split_layers = true, samples_per_pass = 16}\n'
-        "[budget]\nsamples = 640\n[autosave]\ntimes = [0.5, 1.5]\n"
+        "[budget]\nspp = 640\n[autosave]\ntimes = [0.5, 1.5]\n"
         '[output]\nfolder = "out/deep"\nname = "box"\npng = true\n'
         '[reference]\nfile = "reference.exr"\ntrim = 0.02\n'
     )
@@ -121,7 +122,7 @@ def test_paths_are_relative_to_the_file_and_the_example_of_the_manual_runs(folde
 
 def test_the_camera_and_the_variables_reach_the_scene(folder):
     Path("scene.xml").write_text(SCENE)
-    base = '[scene]\nfile = "scene.xml"\nparameters = {res = 12}\n[method]\nname = "path"\n[budget]\nsamples = 2\n'
+    base = '[scene]\nfile = "scene.xml"\nparameters = {res = 12}\n[method]\nname = "path"\n[budget]\nspp = 2\n'
     Path("a.toml").write_text(base)
     Path("b.toml").write_text(f"{base}[camera]\norigin = [0, 5, 0.1]\ntarget = [0, 0, 0]\nfov = 20\n")
     assert main(["run", "a.toml"]) == main(["run", "b.toml"]) == 0
@@ -136,7 +137,7 @@ def test_periodic_saves_and_warnings_are_in_the_log(folder, capsys, monkeypatch)
     passes.watch(monkeypatch, "path", lambda method, iteration: time.sleep(0.02))
     passes.taint(monkeypatch, "path", 1.0)
     Path("a.toml").write_text(
-        BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 20\n[autosave]\nevery = 0.1\n"
+        BOX + "settings = {samples_per_pass = 1}\n[budget]\nspp = 20\n[autosave]\nevery = 0.1\n"
         "[output]\ncheckpoint = false\npage = false\n"
     )
     assert main(["run", "a.toml"]) == 0
@@ -153,7 +154,7 @@ def test_periodic_saves_and_warnings_are_in_the_log(folder, capsys, monkeypatch)
 
 
 def test_a_run_that_ends_before_an_autosave_says_so(folder):
-    Path("a.toml").write_text(BOX + "[budget]\nsamples = 2\n[autosave]\ntimes = [500]\n")
+    Path("a.toml").write_text(BOX + "[budget]\nspp = 2\n[autosave]\ntimes = [500]\n")
     assert main(["run", "a.toml"]) == 0
     assert Path("a.log").read_text("utf-8").splitlines()[-1] == "the run ended before its autosave at 500 s"
     assert "a-500s.exr" not in os.listdir(folder)
@@ -162,15 +163,15 @@ def test_a_run_that_ends_before_an_autosave_says_so(folder):
 def prepare_autosaves(monkeypatch, write, times):
     """Describe a run of nine passes of 0.11 s with autosaves at ``times``, whose outputs ``write`` writes."""
     clock = passes.simulate_clock(monkeypatch)
-    monkeypatch.setattr(Outputs, "write", write)
+    monkeypatch.setattr(Picture, "write", write)
     passes.watch(monkeypatch, "path", lambda method, iteration: clock.pass_time(0.11))
     Path("a.toml").write_text(
-        BOX + f"settings = {{samples_per_pass = 1}}\n[budget]\nsamples = 9\n[autosave]\ntimes = [{times}]\n"
+        BOX + f"settings = {{samples_per_pass = 1}}\n[budget]\nspp = 9\n[autosave]\ntimes = [{times}]\n"
     )
 
 
 def test_an_autosave_that_failed_is_made_with_the_next_one(folder, monkeypatch):
-    write, failed = Outputs.write, []
+    write, failed = Picture.write, []
 
     def fail_once(outputs, job, run):
         if not failed:
@@ -186,7 +187,7 @@ def test_an_autosave_that_failed_is_made_with_the_next_one(folder, monkeypatch):
 
 
 def test_an_autosave_that_fails_at_the_end_costs_no_picture(folder, capsys, monkeypatch):
-    write = Outputs.write
+    write = Picture.write
 
     def fail(outputs, job, run):
         if outputs.pictures[0].name != "a.exr":
@@ -202,7 +203,7 @@ def test_an_autosave_that_fails_at_the_end_costs_no_picture(folder, capsys, monk
 
 def test_a_failing_pass_keeps_its_predecessors_and_the_log_says_why(folder, capsys, monkeypatch):
     passes.fail(monkeypatch, "path", at=2)
-    Path("a.toml").write_text(BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 9\n")
+    Path("a.toml").write_text(BOX + "settings = {samples_per_pass = 1}\n[budget]\nspp = 9\n")
     assert main(["run", "a.toml"]) == 1
     assert film.read_exr("a.exr").metadata["passes"] == 2
     end, error = Path("a.log").read_text("utf-8").splitlines()[-2:]
@@ -282,7 +283,7 @@ def test_a_resumed_run_goes_on_with_its_records(folder, capsys, monkeypatch):
 
 
 def test_what_has_changed_since_is_said(folder, capsys):
-    base = BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 1\n"
+    base = BOX + "settings = {samples_per_pass = 1}\n[budget]\nspp = 1\n"
     Path("a.toml").write_text(base)
     assert main(["run", "a.toml"]) == 0
     rows = table("a.csv")
@@ -334,7 +335,7 @@ BAD = [
     (BOX + 'settings = {mode = "naiv"}', 2, "naive, next_event, mis"),
     (BOX + "[budget]\nseconds = 0", 2, "[budget]: a budget in seconds"),
     (BOX + "[budget]\nseconds = nan", 2, "'seconds' is a number"),
-    (BOX + "[budget]\nsamples = 1.5", 2, "'samples' is a whole number"),
+    (BOX + "[budget]\nspp = 1.5", 2, "'spp' is a whole number"),
     (BOX + "[autosave]\ntimes = 5", 2, "'times' is a list of seconds"),
     (BOX + "[autosave]\ntimes = [5, 3]\nexit_after_last = true", 2, "[autosave]: the times of saves"),
     (BOX + "[autosave]\ntimes = [5]", 2, "need a budget"),
