@@ -12,7 +12,7 @@ import pytest
 from support.patches import box, joined
 
 from etendue.cli.main import main
-from etendue.jobs import linesrequest
+from etendue.products.patches import base
 
 meshio = pytest.importorskip("meshio")
 sparse = pytest.importorskip("scipy.sparse")
@@ -72,7 +72,7 @@ def test_form_factors_as_text_of_an_open_mesh_of_sheets(capsys):
 
 
 def test_exact_form_factors(capsys):
-    assert run("form-factors room.ply -o f.npz --exact --reflectance 0.25") == 0
+    assert run("form-factors room.ply -m exact -o f.npz --reflectance 0.25") == 0
     out, err = capsys.readouterr()
     assert out == "f.npz\n" and "form factors (exact), rows sum to" in err and "sky" not in err
     with np.load("f.npz") as arrays:
@@ -80,7 +80,7 @@ def test_exact_form_factors(capsys):
         assert arrays["emissivity"].tolist() == [0.75] * 24
     np.testing.assert_allclose(np.asarray(sparse.load_npz("f.npz").sum(axis=1)).ravel(), 1, atol=1e-6)
     write_room("open.ply", walls=5)
-    assert run("form-factors open.ply --exact -o f.vf") == 0
+    assert run("form-factors open.ply -m exact -o f.vf") == 0
     assert "% of what patches see is the sky" in capsys.readouterr().err
 
 
@@ -88,7 +88,7 @@ def test_exact_form_factors_of_what_is_hidden_are_refused(capsys):
     walls, inner = box((0, 0, 0), (1, 2, 3), 1, inward=True), box((0.2, 0.2, 0.2), (0.5, 0.5, 0.5))
     vertices, faces = np.concatenate([walls[0], inner[0]]), np.concatenate([walls[1], inner[1] + len(walls[0])])
     meshio.write("hidden.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
-    assert run("form-factors hidden.ply --exact") == 2
+    assert run("form-factors hidden.ply -m exact") == 2
     err = capsys.readouterr().err
     assert "stands between faces" in err and "without --exact" in err and not Path("factors.npz").exists()
 
@@ -111,7 +111,7 @@ def test_power_that_gets_lost_is_a_warning_and_an_exit_status(capsys, variant):
     assert out == "s.npz\n" and Path("s.npz").is_file()
     assert "warning: the power that enters the scene" in err and "standard error of" in err
     assert run(f"radiosity turned.ply --solution s.npz -o s.vtu --variant {variant}") == 8
-    for more in ("--solver multipath --points 4096", "--hierarchy --bundles 2"):
+    for more in ("-m multipath --points 4096", "-m boxes --passes 2"):
         assert run(command.replace("--bundles 32", more)) == 8
 
 
@@ -149,7 +149,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
-        ("form-factors room.ply --exact --bundles 8", "--exact casts no lines"),
+        ("form-factors room.ply -m exact --bundles 8", "method exact: no lines are cast, so leave out bundles"),
         ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
         ("form-factors room.ply --max-area -1", "must be a positive number"),
         ("form-factors room.ply --max-area 1e-12", "allow larger ones"),
@@ -157,12 +157,16 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity nothing.xml", "there is no scene file 'nothing.xml'"),
         ("radiosity cornell-box -o s.obj", "take .npz, .vtu, .ply"),
         ("radiosity cornell-box --solver gauss", "there is no solver 'gauss'"),
+        ("radiosity cornell-box --solver multipath", "is a method, not a solver: give method multipath"),
+        ("radiosity cornell-box -m boxes --bundles 8", "'boxes' counts passes: give passes in place of bundles"),
+        ("radiosity cornell-box -m multipath --grid 3", "method 'multipath' has no option 'grid'"),
+        ("radiosity cornell-box --threshold 3", "threshold is for boxes"),
         ("radiosity dark.xml", "no emitter"),
         ("radiosity spot.xml", "has no surface"),
         ("radiosity white.xml", "reflects 1.2 of the light"),
-        ("radiosity room.ply", "'room.ply' has no light; give --emission or --temperature"),
+        ("radiosity room.ply", "'room.ply' has no light for radiosity; give it emission, a temperature or a sky"),
         ("radiosity room.ply --emission 1 -o p.png", "a picture needs a scene with a camera"),
-        ("radiosity room.ply --emission 1 -o p.exr --lightmap 64 --uv scene", "--uv scene needs a scene"),
+        ("radiosity room.ply --emission 1 -o p.exr --lightmap 64 --uv scene", "uv of the scene needs a scene"),
         ("radiosity nothing.obj", "there is no mesh file nothing.obj"),
         ("radiosity room.ply --emission glow", "no array 'glow' for its faces"),
         ("radiosity room.ply --emission 1 --reflectance 1", "it would never be absorbed"),
@@ -173,12 +177,11 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity room.ply --emission 1 --sky blue", "--sky is a number"),
         ("radiosity room.ply --emission 1,2 --reflectance 0.1,0.2,0.3", "3 channels, emission 2"),
         ("radiosity room.ply --emission 1,2 -o s.ply", ".ply shows one channel or three"),
-        ("radiosity room.ply --emission 1 -P a=1", "-P is for scenes"),
-        ("radiosity cornell-box --reflectance 0.5", "--reflectance is for mesh files"),
+        ("radiosity room.ply --emission 1 -P a=1", "parameters are for scenes in XML"),
+        ("radiosity cornell-box --reflectance 0.5", "reflectance is for mesh files"),
         ("radiosity room.ply --emission 1 --max-area 1e-4 --solver direct", "GB are free"),
-        ("radiosity cornell-box --two-sided", "--two-sided is for mesh files"),
-        ("radiosity room.ply --emission 1 --error 0", "a number above 0"),
-        ("radiosity room.ply --emission 1 --time -1", "a number above 0"),
+        ("radiosity cornell-box --two-sided", "two_sided is for mesh files"),
+        ("radiosity room.ply --emission 1 --error 0", "--error must be above 0"),
         ("radiosity room.ply --emission 1 -o s.npz --checkpoint s.npz", "named for two outputs"),
         ("radiosity room.ply --emission 1 --checkpoint nowhere/c", "there is no folder"),
         ("form-factors nan.vtu", "vertices are not finite"),
@@ -207,7 +210,7 @@ def test_bad_input(command, message, capsys, variant):
 
 
 def test_a_missing_library_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(linesrequest, "find_spec", lambda name: None if name == "numba" else True)
+    monkeypatch.setattr(base, "find_spec", lambda name: None if name == "numba" else True)
     for command in ("form-factors room.ply", "radiosity cornell-box"):
         assert run(command) == 6
         assert (
@@ -220,25 +223,52 @@ def test_ctrl_c_before_the_first_line_keeps_the_old_file(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     Path("f.npz").write_text("old")
-    monkeypatch.setattr(linesrequest, "read_patches", interrupted)
+    monkeypatch.setattr("etendue.radiosity.sources.read_patches", interrupted)
     assert run("form-factors room.ply -o f.npz") == 130
     assert "stopped; nothing was written" in capsys.readouterr().err
     assert Path("f.npz").read_text() == "old" and len(list(Path().iterdir())) == 2
 
 
-def test_form_factors_in_a_hierarchy_are_resumed(capsys):
+def test_form_factors_by_lines_in_spheres(capsys):
     """Walls from -1 on in an array of the file; two boxes are one object."""
     mesh = joined(box((0, 0, 0), (1, 1, 1), inward=True), box((0.2,) * 3, (0.3,) * 3), box((0.6,) * 3, (0.8,) * 3))
     numbers = np.repeat([-1, 4], [6, 12])
     meshio.write("boxes.vtu", meshio.Mesh(mesh[0], [("quad", mesh[1])], cell_data={"thing": [numbers]}))
-    command = "form-factors boxes.vtu -o f.npz --hierarchy thing --bundles 20 --checkpoint c --point-set halton"
-    assert run(command) == 0 and run("resume c --bundles 40") == 0
-    err = capsys.readouterr().err
-    assert "(F4), rows sum to" in err and "40 bundles" in err
+    command = "form-factors boxes.vtu -m spheres -o f.npz --objects thing --bundles 20 --point-set halton"
+    assert run(command) == 0
+    assert "(F4), rows sum to" in capsys.readouterr().err
     with np.load("f.npz") as arrays:
         assert json.loads(str(arrays["metadata"]))["estimator"] == "F4"
     assert run("form-factors boxes.vtu -o f.npz --walls 4") == 2
-    assert "--walls is for lines in a hierarchy: give --hierarchy, too" in capsys.readouterr().err
+    assert "walls is for method spheres" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("form-factors two.vtu --hierarchy --bundles 8", "form-factors two.vtu -m spheres --bundles 8"),
+        (
+            "form-factors two.vtu --hierarchy=thing --bundles 8",
+            "form-factors two.vtu -m spheres --objects thing --bundles 8",
+        ),
+        ("form-factors room.ply --exact", "form-factors room.ply -m exact"),
+        (
+            "radiosity --hierarchy two.vtu --emission 1 --bundles 2",
+            "radiosity two.vtu -m boxes --emission 1 --passes 2",
+        ),
+    ],
+)
+def test_the_options_of_version_1_mean_the_same(old, new, capsys):
+    mesh = joined(box((0, 0, 0), (1, 1, 1), inward=True), box((0.2,) * 3, (0.3,) * 3), box((0.6,) * 3, (0.8,) * 3))
+    numbers = np.repeat([-1, 4, 5], [6, 6, 6])
+    meshio.write("two.vtu", meshio.Mesh(mesh[0], [("quad", mesh[1])], cell_data={"thing": [numbers]}))
+    for command, name in ((old, "old.npz"), (new, "new.npz")):
+        capsys.readouterr()
+        assert run(f"{command} -o {name}") == 0
+        assert ("goes with the next version" in capsys.readouterr().err) == (command == old)
+    with np.load("old.npz") as was, np.load("new.npz") as now:
+        for name in set(was.files) - {"metadata"}:
+            np.testing.assert_array_equal(was[name], now[name], err_msg=name)
 
 
 def test_lines_of_a_bundle_are_chosen(capsys):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from etendue.core import OptionError
+from etendue.core import OptionError, logger
 
 from . import options as opt
 from .console import command_line, error_console
@@ -184,6 +184,8 @@ def form_factors(
         is_watched=error_console().is_terminal,
     )
     without_hierarchy(run, hierarchy if hierarchy != "" else True)
+    if exact:
+        logger.warning("--exact is now -m exact, and goes with the next version")
     return run_on_patches(run.task(), opt.Device(variant, threads, cluster, workers))
 
 

@@ -80,7 +80,7 @@ class PatchRun:
         names = [name for name, value in self.limits.items() if value is not None]
         names += ["checkpoint"] * (self.checkpoint is not None) + list(self.settings)
         if names:
-            raise OptionError(f"{what} casts no lines: leave out {', '.join(names)}")
+            raise OptionError(f"{what}: no lines are cast, so leave out {', '.join(names)}")
 
     def _task(self, source: PatchSource, kind: type[Method], product: PatchProduct[Any]) -> Task:
         task = Task(source, kind, product, self.settings, self.seed, budget_of(kind, self.limits))
@@ -109,7 +109,7 @@ class FactorRun(PatchRun):
         estimator = self.estimator or ("F4" if around else "F1")
         product = FormFactorProduct(**self._common(method), estimator=estimator, outputs=self.outputs)
         if method == EXACT:
-            self._refuse_limits("exact form factors")
+            self._refuse_limits("method exact")
             product.check_files(False)
             return AtOnce(source, product)
         return self._task(source, chosen(method, (*FACTORS, EXACT), "form factors"), product)
@@ -182,6 +182,8 @@ class SolutionRun(PatchRun):
     def _check(self, method: str, at_once: bool) -> None:
         if at_once:
             self._refuse_limits("an ambient solution")
+        if self.solver in SOLUTIONS:
+            raise OptionError(f"'{self.solver}' is a method, not a solver: give method {self.solver}")
         if self.solver is not None and method != "lines":
             raise OptionError(f"a solver is for method lines; {method} solves by itself")
         if self.bounces is not None and method != "lines":
@@ -212,6 +214,8 @@ def without_hierarchy(run: FactorRun | SolutionRun, hierarchy: Any) -> None:
         return
     run.method = "spheres" if isinstance(run, FactorRun) else BOXES
     logger.warning("hierarchy is now method %s with its settings, and goes with the next version", run.method)
+    if isinstance(run, SolutionRun) and run.limits.get("bundles") is not None:
+        run.limits = {**run.limits, "passes": run.limits["bundles"], "bundles": None}
     if isinstance(hierarchy, Mapping) and isinstance(run, SolutionRun):
         rest = dict(hierarchy)
         run.objects = rest.pop("objects", run.objects)
