@@ -145,6 +145,7 @@ def folder(tmp_path_factory, variant):
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
         meshio.write(path / f"{name}.vtu", meshio.Mesh(*triangle, cell_data=arrays))
     etendue.trace_particles(str(path / "scene.xml"), paths=500, save=path / "room.particles")
+    etendue.solve_radiosity("cornell-box", bundles=2, checkpoint=path / "solution.checkpoint")
     (path / "results").mkdir()
     shutil.copy(path / "picture.checkpoint", path / "results" / "glass.checkpoint")
     return path
