@@ -131,9 +131,10 @@ def root(
 ) -> None:
     """Global illumination for Mitsuba 3 scenes: pictures, form factors, radiosity, particles.
 
-    Exit status: 0 done; 1 `check` or `diff --limit` has found faults; an error in 2 options, 3 the scene, 4 a checkpoint,
-    5 an output, 6 what is installed, 7 a cluster; 8 the power of a solution is not balanced; 70 an unexpected error; 130
-    and 143 ended by Ctrl-C or SIGTERM, with what was done written; 141 the reader of a pipe has gone.
+    Exit status: 0 done; 1 `check` or `diff --limit` has found faults; an error in 2 options, 3 the scene, 4 a
+    checkpoint, 5 an output, 6 what is installed, 7 a cluster; 8 the power of a solution is not balanced; 70 an
+    unexpected error; 130 and 143 ended by Ctrl-C or SIGTERM, with what was done written; 141 the reader of a pipe is
+    gone.
     """
     be_quiet(quiet)
 
