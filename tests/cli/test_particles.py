@@ -41,10 +41,10 @@ def test_trace_info_compress_and_resume(folder, capsys):
     assert (settings["keep"], settings["after"], settings["rr_depth"], known.header["seed"]) == ("first", 1, 3, 4)
     assert known.read().bounce.min() > 1
 
-    assert run("particles info new.particles") == 0
+    assert run("info new.particles") == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert f"{len(known)} of 2000 light paths in 1 passes; finished" in shown and "keep=first" in shown
-    assert run("particles info new.particles --json") == 0
+    assert f"{len(known)} of 2000 light paths in 1 pass; finished" in shown and "keep first" in shown
+    assert run("info new.particles --json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["particles"] == len(known) == sum(shape["particles"] for shape in found["shapes"])
     assert found["codec"] == "packed+fast" and found["bounds"] == known.bounds
@@ -67,23 +67,22 @@ def test_trace_info_compress_and_resume(folder, capsys):
         ("particles trace nowhere.xml -o b.particles", "there is no scene file 'nowhere.xml'"),
         ("particles trace scene.xml -o a.particles", "'a.particles' exists: choose another name"),
         ("particles trace scene.xml -o b.particles --keep last", "'keep' must be one of all, first, absorbed"),
-        ("particles trace scene.xml -o b.particles --keep all -D keep=all", "are the same setting; give one"),
+        ("particles trace scene.xml -o b.particles --keep all -D keep=all", "gives 'keep' twice; give it once"),
         (
             "particles trace scene.xml -o b.particles --paths 10 --particles 10",
-            "--paths and --particles limit",
+            "--paths and --particles limit the same",
         ),
         ("particles trace scene.xml -o b.particles --paths 0", "Invalid value for '--paths'"),
-        ("particles trace scene.xml -o b.particles --time 0", "must be a number above 0"),
+        ("particles trace scene.xml -o b.particles --time 0", "--time must be above 0"),
         ("particles trace scene.xml -o b.particles --codec packt", "there is no codec 'packt'; did you mean 'packed'"),
         ("particles trace scene.xml -o none/b.particles", "there is no folder 'none'"),
         ("particles trace scene.xml -o b.particles -D size=3", "has no option 'size'"),
-        ("particles info nowhere.particles", "there is no file 'nowhere.particles'"),
-        ("particles info scene.xml", "'scene.xml' is not a file of particles"),
         ("particles compress a.particles -o a.particles", "'a.particles' exists"),
-        ("resume a.particles --spp 3", "only --paths, --particles, --time and --scene apply"),
-        ("resume a.particles", "the budget of the checkpoint is used up; give a new one with --paths"),
-        ("resume a.particles --paths 9000 --particles 9000", "--paths and --particles limit the same"),
-        ("resume scene.xml --paths 3", "scene.xml is no file of particles"),
+        ("resume a.particles --spp 3", "method 'particles' counts paths: give paths in place of spp"),
+        ("resume a.particles", "the budget of the checkpoint is used up; give a new one"),
+        ("resume a.particles --paths 9000 --particles 9000", "paths and particles limit the same"),
+        ("resume a.particles --paths 9000 -o b.particles", "is continued in place: leave out other outputs"),
+        ("resume scene.xml --paths 3", "scene.xml is not an étendue checkpoint"),
     ],
 )
 def test_wrong_arguments_are_one_line(command, message, capsys, folder):

@@ -12,7 +12,6 @@ import pytest
 
 from etendue.cli.main import main
 from etendue.film import read_exr, read_image
-from etendue.jobs import solutions
 
 h5netcdf = pytest.importorskip("h5netcdf")
 pytest.importorskip("trimesh")
@@ -44,7 +43,7 @@ def test_a_picture_with_its_error(capsys, variant):
     assert capsys.readouterr().out == "p.exr\n"
     made = read_exr("p.exr")
     assert made.image.shape == (12, 16, 3) and made.image.min() >= 0 and made.layers["error"].max() > 0
-    assert made.metadata["method"] == "radiosity-gather" and made.metadata["bundles"] == 32
+    assert made.metadata["method"] == "path" and made.metadata["bundles"] == 32
     assert made.metadata["solver"] == "conjugate-gradient" and made.metadata["samples"] == 4
 
 
@@ -123,11 +122,11 @@ def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
     ("command", "message"),
     [
         ("-o s.tiff", "take .npz, .vtu, .ply, .nc, .glb, .gltf, .exr, .png"),
-        ("-o s.vtu --gather 4", "--gather is for pictures"),
-        ("-o s.exr --lightmap 64 --uv scene --size 8x8", "--size is for pictures"),
-        ("-o s.exr --error-picture", "--error-picture is for .png"),
-        ("-o s.png --error-picture --bundles 1", "--error-picture needs at least two bundles"),
-        ("-o s.exr --uv scene", "--uv is for lightmaps"),
+        ("-o s.vtu --gather 4", "gather is for pictures"),
+        ("-o s.exr --lightmap 64 --uv scene --size 8x8", "size is for pictures"),
+        ("-o s.exr --error-picture", "an error picture is for .png"),
+        ("-o s.png --error-picture --bundles 1", "an error picture needs at least two bundles"),
+        ("-o s.exr --uv scene", "uv is for lightmaps"),
         ("-o s.vtu --lightmap 64", "take .exr, .glb, .gltf, .obj"),
         ("-o s.exr --lightmap 64 --uv scene", "texture coordinates overlap"),
         ("-o s.exr --lightmap 64 --uv nothing.glb", "there is no mesh file 'nothing.glb'"),
@@ -146,7 +145,7 @@ def test_bad_input(command, message, capsys, variant):
 
 
 def test_a_missing_library_is_named_first(monkeypatch, capsys, variant):
-    monkeypatch.setattr(solutions, "find_spec", lambda name: None)
+    monkeypatch.setattr("etendue.products.patches.solution_files.find_spec", lambda name: None)
     assert run("-o m.glb --lightmap 64", variant) == 6
     assert "pip install 'etendue[lightmap]'" in capsys.readouterr().err
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from etendue.jobs import picture
+from etendue.products.patches import picture
 from support.patches import box, joined
 
 from etendue.cli.main import main
@@ -73,23 +73,23 @@ def test_a_scene(kind, capsys):
     assert "than 'cornell-box': it has" in said and "faces" in said
     # Metadata survive, so that the same holds for a copy.
     said = refused(f"scene.xml --solution p{kind} --max-area 0.1 -o again.exr", capsys)
-    assert f"'p{kind}' was made with --max-area 0.5, not with --max-area 0.1" in said
+    assert f"'p{kind}' was made with max_area=0.5, not with max_area=0.1" in said
 
 
 def test_options_that_contradict(capsys):
     assert run(f"scene.xml {MADE} -o s.npz") == 0
     for option, message in (
-        ("--seed 0", "with --seed 3, not with --seed 0"),
-        ("--bundles 32", "with --bundles 16, not with --bundles 32"),
-        ("--solver jacobi", "with --solver conjugate-gradient, not with --solver jacobi"),
-        ("--no-shot", "without --no-shot, not with --no-shot"),
-        ("--time 5", "without --time, not with --time 5.0"),
-        ("--error 0.1 --seed 4", "without --error, not with --error 0.1; with --seed 3, not with --seed 4"),
+        ("--seed 0", "with seed=3, not with seed=0"),
+        ("--bundles 32", "with bundles=16, not with bundles=32"),
+        ("--solver jacobi", "with solver=conjugate-gradient, not with solver=jacobi"),
+        ("--no-shot", "without shot, not with shot=false"),
+        ("--time 5", "without seconds, not with seconds=5.0"),
+        ("--error 0.1 --seed 4", "without error, not with error=0.1; with seed=3, not with seed=4"),
     ):
         assert f"'s.npz' was made {message}: leave" in refused(
             f"scene.xml --solution s.npz -o again.exr {option}", capsys
         )
-    assert "leave out --checkpoint" in refused("scene.xml --solution s.npz -o again.exr --checkpoint c", capsys)
+    assert "leave out checkpoint" in refused("scene.xml --solution s.npz -o again.exr --checkpoint c", capsys)
 
 
 def test_a_mesh(capsys):
@@ -97,9 +97,9 @@ def test_a_mesh(capsys):
     assert run(f"{mesh} -o s.npz") == 0
     assert run("room.vtu --solution s.npz -o a.vtu") == 0 and run(f"{mesh} --solution s.npz -o b.vtu") == 0
     for command, message in (
-        ("room.vtu --reflectance 0.3", "with --reflectance 0.7,0.5, not with --reflectance 0.3"),
-        ("room.vtu --two-sided", "without --two-sided, not with --two-sided"),
-        ("room.vtu --ids wall", "without --ids, not with --ids wall"),
+        ("room.vtu --reflectance 0.3", "with reflectance=0.7,0.5, not with reflectance=0.3"),
+        ("room.vtu --two-sided", "without two_sided, not with two_sided"),
+        ("room.vtu --ids wall", "without ids, not with ids=wall"),
         ("moved.vtu", "6 of 30 faces are elsewhere, the first is face 24"),
     ):
         assert message in refused(f"{command} --solution s.npz -o again.vtu", capsys)
@@ -110,7 +110,7 @@ def test_a_file_without_settings(capsys):
     assert run(f"scene.xml {MADE} -o s.npz") == 0
     save_solution("old.npz", read_solution("s.npz")[0])
     assert run("scene.xml --solution old.npz -o p.exr") == 0
-    assert "does not say its --max-area" in refused("scene.xml --solution old.npz --max-area 0.5 -o again.exr", capsys)
+    assert "does not say its max_area" in refused("scene.xml --solution old.npz --max-area 0.5 -o again.exr", capsys)
     assert "another scene" in refused("cornell-box --solution old.npz -o again.exr", capsys)
 
 

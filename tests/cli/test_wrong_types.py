@@ -13,7 +13,7 @@ class Other:
 
 
 def render(scene="cornell-box", method="path", **options):
-    return etendue.render(scene, method, **({"samples": 1, "size": (8, 6)} | options))
+    return etendue.render(scene, method, **({"spp": 1, "size": (8, 6)} | options))
 
 
 @pytest.fixture(scope="module")
