@@ -118,7 +118,7 @@ def test_what_cannot_be_divided_is_one_line(tmp_path):
     with pytest.raises(UnsupportedError, match="sends rays from around the whole scene"):
         traced("skylight", Cluster(InProcess(tmp_path)), boxes=(2, 1, 1))
     with pytest.raises(OptionError, match="'metropolis_particles' cannot be divided among workers"):
-        traced("cornell-box", Cluster(InProcess(tmp_path)), method="metropolis_particles", settings={})
+        traced("cornell-box", Cluster(InProcess(tmp_path)), method="metropolis_particles", bootstrap=1024)
 
 
 def test_paths_in_strata_visit_boxes_together():

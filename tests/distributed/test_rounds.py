@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from support.workers import InProcess
+from support.workers import InProcess, dask_workers
 
 import etendue
 from etendue.core import OptionError
-from etendue.distributed import Cluster, DaskPool, ProcessPool, rounds as rounds_module
+from etendue.distributed import Cluster, ProcessPool, rounds as rounds_module
 from etendue.distributed.talking import Talk
 from etendue.distributed.worker import Failed, Needs, _Desk, _Run
 from etendue.engine import Job
@@ -313,11 +314,8 @@ class Killing:
         self.told += task.first > 0
         if self.told in self.at:
             self.told += 1
-            own = getattr(self.pool, "pids", {}).get(worker)
-            pids = [own] if own else list(self.pool._processes[worker]._processes or ())
-            for pid in pids:
-                os.kill(pid, signal.SIGKILL)
-                self.kills += 1
+            os.kill(self.pool.pids[worker], signal.SIGKILL)
+            self.kills += 1
 
 
 @pytest.mark.slow
@@ -325,9 +323,9 @@ class Killing:
 def test_processes_that_are_killed_in_a_pass_change_nothing(alone, kind):
     if kind == "dask":
         pytest.importorskip("distributed")
-    pool = ProcessPool(2, threads=1) if kind == "processes" else DaskPool(workers=2, threads=2)
-    with Cluster(Killing(pool, {4})) as cluster:
-        parts = solved(hall(), cluster)
+    with dask_workers(2) if kind == "dask" else nullcontext(ProcessPool(2, threads=1)) as pool:
+        with Cluster(Killing(pool, {4})) as cluster:
+            parts = solved(hall(), cluster)
         assert cluster.pool.kills == 1
     equal(parts, alone)
     assert parts.correspondence.begun_anew >= 1

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.tasks import rendering
+from support.workers import dask_workers
 
 import etendue
 from etendue.core import ClusterError, SceneError
@@ -46,13 +47,9 @@ def processes():
 
 
 def kill_one(pool, source):
-    """Kill a worker of Dask or of processes by SIGKILL, if one is there."""
-    if isinstance(pool, DaskPool):
-        pids = [pool.pids[name] for name in pool.workers()]
-    else:
-        pids = [pid for process in pool._processes.values() for pid in process._processes or ()]
+    """Kill a worker by SIGKILL, if one is there."""
     try:
-        os.kill(source.choice(sorted(pids)), signal.SIGKILL)
+        os.kill(source.choice(sorted(pool.pids[name] for name in pool.workers())), signal.SIGKILL)
     except (IndexError, ProcessLookupError):  # none is there, or it died a moment ago
         return False
     return True
@@ -123,7 +120,6 @@ def test_what_a_session_has_opened_is_closed_also_if_its_job_fails():
 
 @pytest.mark.slow
 def test_sessions_have_workers_of_their_own(alone):
-    pytest.importorskip("distributed")
     options = {"size": SMALL["size"], "samples_per_pass": 1, "seed": 3}
     made = etendue.render(SMALL["scene"], "path", spp=PASSES, workers=1, **options, wait=False).result
     close(made.image, alone.image)
@@ -146,16 +142,14 @@ def test_time_holds_for_the_sum(processes):
 def test_processes_end_with_a_parent_that_is_killed(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "if __name__ == '__main__':\n"
-        "    import time\n"
-        "    from etendue.distributed import ProcessPool\n"
-        "    (process,) = ProcessPool(1, threads=1)._processes.values()\n"
-        "    print(process.submit(int).result(), *process._processes, flush=True)\n"
-        "    time.sleep(60)\n"
+        "import time\n"
+        "from etendue.distributed import ProcessPool\n"
+        "print(*ProcessPool(1, threads=1).pids.values(), flush=True)\n"
+        "time.sleep(60)\n"
     )
     parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
-    pid = int(parent.stdout.readline().split()[1])
+    pid = int(parent.stdout.readline())
     parent.kill()
     parent.wait()
     end = time.monotonic() + 30
@@ -182,14 +176,14 @@ def test_fifty_kills_lose_nothing(monkeypatch):
     # Chunks of one pass, and a kill for each that arrives, so that the workers are hardly ever whole.
     monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
     source, kills = random.Random(7), [0]
-    passes = 120  # some find no worker to kill
+    passes = 300  # some find no worker to kill
     expected = rendered(task(passes=passes))
 
     def watch(update):
         if kills[0] < 50:
             kills[0] += kill_one(cluster.pool, source)
 
-    with Cluster(DaskPool(workers=2, threads=2)) as cluster:
+    with dask_workers(2) as pool, Cluster(pool) as cluster:
         made = rendered(task(passes=passes), cluster, watch)
     assert kills[0] == 50
     assert made.metadata["passes"] == passes
@@ -215,7 +209,7 @@ def test_sums_that_are_merged_among_workers_lose_nothing(monkeypatch):
         if kills[0] < 4 and update.progress.passes > 10 * kills[0]:
             kills[0] += kill_one(cluster.pool, source)
 
-    with Cluster(DaskPool(workers=3, threads=3)) as cluster:
+    with dask_workers(3) as pool, Cluster(pool) as cluster:
         made = rendered(task(passes=60), cluster, watch)
         assert cluster.pool._gathering.merges > 0
     assert made.metadata["passes"] == 60

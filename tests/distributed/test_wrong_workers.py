@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 from support.tasks import rendering
+from support.workers import dask_workers
 
 from etendue.core import ClusterError
 from etendue.distributed import Cluster, DaskPool
@@ -80,8 +81,7 @@ def full_disk(folder):
 )
 def test_a_worker_that_cannot_be_used_is_left_out_and_the_other_goes_on(spoil, arguments, message, tmp_path, caplog):
     alone = rendered(None)
-    with Cluster(DaskPool(workers=2, threads=2)) as cluster:
-        pool = cluster.pool
+    with dask_workers(2) as pool, Cluster(pool) as cluster:
         while len(names := sorted(pool.workers())) < 2:
             time.sleep(0.1)
         given = [str(tmp_path) if a == "FOLDER" else a for a in arguments]

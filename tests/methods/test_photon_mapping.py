@@ -11,6 +11,7 @@ from support import scenes
 from support.running import go, prepared, run
 from support.statistics import assert_agree, assert_mean, z_scores
 from support.tables import crossed, thinned
+from support.tasks import rendering
 
 from etendue import methods
 from etendue.core import CheckpointError, OptionError, Replica
@@ -196,18 +197,17 @@ def test_the_first_radius_holds_as_many_photons_as_asked_for(method):
 @pytest.mark.parametrize(("method", "per_pass"), [("sppm", 2), ("ppm", 1), ("pm", 2)])
 def test_a_resumed_run_equals_an_uninterrupted_one(method, per_pass, tmp_path):
     cls = methods.get(method)
-    source = {"source": "cornell-glass", "size": (16, 12)}
     settings = {"samples_per_pass": str(per_pass)} | ({"photons": "5000"} if method == "pm" else {"radius": "0.05"})
 
-    def opened(passes: int) -> Job:
+    def task(passes: int) -> Task:
         budget = Budget(samples=passes * per_pass)
-        return Job.open(Task(source["source"], cls, settings, seed=4, budget=budget, size=source["size"]))
+        return rendering("cornell-glass", cls, settings, 4, budget, size=(16, 12))
 
-    whole = opened(4).runner().run()
-    half = opened(2)
+    whole = Job.open(task(4)).runner().run()
+    half = Job.open(task(2))
     half.checkpoint(half.runner().run()).write(tmp_path / "a.checkpoint")
     read = Checkpoint.read(tmp_path / "a.checkpoint")
-    job = Job.resume(read, cls, budget=Budget(samples=4 * per_pass))
+    job = Job.resume(read, task(4))
     rest = job.runner().run()
     assert rest.measurement.counters["photons"] == whole.measurement.counters["photons"]
     np.testing.assert_allclose(rest.measurement.mean(), whole.measurement.mean(), rtol=1e-4, atol=1e-6)

@@ -35,7 +35,7 @@ def own(monkeypatch):
 def test_a_registered_method_is_a_method(own, tmp_path):
     etendue.register(own)
     assert methods.get("mine") is own and list(methods.table())[-1] == "mine"
-    options = {"samples": 4, "size": (8, 8), "seed": 3, "samples_per_pass": 2}
+    options = {"spp": 4, "size": (8, 8), "seed": 3, "samples_per_pass": 2}
     mine = etendue.render("cornell-box", "mine", checkpoint=tmp_path / "a.checkpoint", **options)
     np.testing.assert_array_equal(mine.image, etendue.render("cornell-box", "path", **options).image)
     assert etendue.resume(tmp_path / "a.checkpoint", spp=6).metadata["method"] == "mine"

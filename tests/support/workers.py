@@ -4,8 +4,11 @@ are in them."""
 from __future__ import annotations
 
 import itertools
+import logging
 import random
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from etendue.core import Iterations, Measurement, Method, Pass
-from etendue.distributed import Arrival, Lost, Recipe, Spread
+from etendue.distributed import Arrival, DaskPool, Lost, Recipe, Spread
 from etendue.distributed.content import Offered, Store
 from etendue.distributed.pool import Delivered
 from etendue.distributed.schedules import OnDemand
@@ -261,3 +264,22 @@ class InProcess:
         self._waiting = deque(entry for entry in self._waiting if entry[1] not in tickets)
 
     def close(self): ...
+
+
+@contextmanager
+def dask_workers(count: int) -> Iterator[DaskPool]:
+    """Workers of Dask on this machine, of one thread each, which are replaced if they are killed."""
+    import dask
+    import distributed
+
+    # A killed worker is not the fault of its chunk; and a worker may take long to start again on a loaded machine.
+    patient = {"distributed.scheduler.allowed-failures": 1000, "distributed.deploy.lost-worker-timeout": "1 day"}
+    here = {"host": "127.0.0.1", "scheduler_port": 0, "dashboard_address": "127.0.0.1:0"}
+    with (
+        dask.config.set(patient),
+        distributed.LocalCluster(
+            n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.CRITICAL, **here
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False, direct_to_workers=True) as client,
+    ):
+        yield DaskPool(client)
