@@ -32,15 +32,17 @@ def rays(problem):
     return np.array(ray.o).T, np.array(ray.d).T
 
 
+@pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("sensor", [0, 2])
-def test_it_looks_where_it_is_told_to(path, sensor):
-    camera = Camera([1, 2, 3], [1, 2, -4], up=[1, 0, 0], fov=40)
+def test_it_looks_where_it_is_told_to(path, sensor, axis):
+    camera = Camera([1, 2, 3], [1, 2, -4], up=[1, 0, 0], fov=40, fov_axis=axis)
     origins, (middle, up, right) = rays(load(path, size=(60, 30), sensor=sensor, camera=camera))
     np.testing.assert_allclose(origins, np.tile([1, 2, 3], (3, 1)), atol=0.02)  # near clip, lens
     np.testing.assert_allclose(middle, [0, 0, -1], atol=1e-3)
-    # The edges are 20 degrees above the middle, and twice as far to the right on the film.
-    np.testing.assert_allclose(up / -up[2], [np.tan(np.radians(20)), 0, -1], atol=1e-3)
-    np.testing.assert_allclose(right / -right[2], [0, -2 * np.tan(np.radians(20)), -1], atol=1e-3)
+    # An edge is 20 degrees from the middle, and the film is twice as wide as it is high.
+    high = np.tan(np.radians(20)) * (0.5 if axis == "x" else 1.0)
+    np.testing.assert_allclose(up / -up[2], [high, 0, -1], atol=1e-3)
+    np.testing.assert_allclose(right / -right[2], [0, -2 * high, -1], atol=1e-3)
 
 
 def test_what_is_not_told_stays(path):
@@ -71,6 +73,7 @@ def test_a_resumed_run_needs_the_camera_again(path):
         ({"fov": 180}, "between 0 and 180"),
         ({"fov": 0.0}, "between 0 and 180"),
         ({"fov": True}, "between 0 and 180"),
+        ({"fov_axis": "diagonal"}, "x or y"),
     ],
 )
 def test_what_is_no_camera(values, text):

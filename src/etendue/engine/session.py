@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextvars import copy_context
 from types import TracebackType
 from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
@@ -49,7 +50,9 @@ class Session(InNotebooks, Generic[T]):
         self._result: list[T] = []
         self._error: BaseException | None = None
         self._flags = jit_flags()
-        self._thread = threading.Thread(target=self._work, name="etendue-session", daemon=True)
+        self._thread = threading.Thread(
+            target=copy_context().run, args=(self._work,), name="etendue-session", daemon=True
+        )
         self._thread.start()
 
     def _work(self) -> None:

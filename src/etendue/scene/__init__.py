@@ -8,7 +8,6 @@ from .changes.edits import ParameterChanges as ParameterChanges, name_elements a
 from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as SceneParameter
 from .changes.watching import Parameters as Parameters, parameters as parameters, view as view
 from .editing import (
-    Change as Change,
     LightEdits as LightEdits,
     add_plugin as add_plugin,
     colour as colour,
@@ -46,7 +45,7 @@ from .loading import (
 from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
 from .meshes import box as box, joined as joined
 from .models.reading import emits as emits
-from .parsing import is_sensor as is_sensor
+from .parsing import Change as Change, is_sensor as is_sensor
 from .parts import load_part as load_part, part_files as part_files, shape_boxes as shape_boxes, unmerged as unmerged
 from .plugins import composed_bsdf as composed_bsdf, register as register
 from .portable import PortableScene as PortableScene, portable as portable, restored as restored

@@ -18,15 +18,14 @@ from etendue.core import OptionError, SceneError, use_variant
 from etendue.film import replacing
 
 from .builtin.table import BundledScene
+from .loading import _is_loaded, _parse, _resolving, locate
 from .meshes import MeshDescription
 from .models.reading import is_model, model
-from .parsing import Size, give_types, read_properties, resize
+from .parsing import Change, Size, give_types, read_properties, resize
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-#: A change of Mitsuba's parsed scene, before its objects are built.
-Change = Callable[["mi.parser.ParserState"], None]
 #: Scales that Mitsuba's writer writes rightly.
 _SCALES = (1 / 50, 50.0)
 #: Functions that write files, by path.
@@ -62,8 +61,6 @@ def described_lights(source: Any, parameters: Mapping[str, Any] | None = None) -
 
     Raises :class:`SceneError` for a loaded scene, and for a scene that cannot be parsed.
     """
-    from .loading import _parse
-
     *_, state = _parse(_locate(source), parameters)
     names = []
     for owner, key, emitter in _emitters(state):
@@ -94,8 +91,6 @@ def add_plugin(state: mi.parser.ParserState, key: str, plugin: Mapping[str, Any]
 
 def is_described(source: Any) -> bool:
     """Whether a scene is a file, a bundled scene or a dictionary, not a loaded ``mi.Scene``."""
-    from .loading import _is_loaded
-
     return not _is_loaded(source)
 
 
@@ -114,8 +109,6 @@ def scene_xml(
     written.
     """
     import mitsuba as mi
-
-    from .loading import _resolving
 
     name, folders, state, writing = _described(source, parameters, folder)
     if change is not None:
@@ -231,8 +224,6 @@ def _described(
 ) -> tuple[str, mi.FileResolver, mi.parser.ParserState, _Writing]:
     """(name, where its files are searched, parsed description, functions that write its meshes to ``folder``) of a
     scene."""
-    from .loading import _parse
-
     found = _locate(source)
     found = model(found) if is_model(found) else found
     writing: _Writing = {}
@@ -250,8 +241,6 @@ def _described(
 
 def _locate(source: Any) -> Any:
     """The file, bundled scene or dictionary that the parser reads. Raises :class:`SceneError` for a loaded scene."""
-    from .loading import _is_loaded, locate
-
     use_variant()
     if _is_loaded(source):
         raise SceneError("a scene in memory has no description; give its file or its dictionary")

@@ -19,13 +19,13 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene, check_light
 from .changes.transforms import settle_transforms
-from .editing import Change
 from .graph import name as element_name
 from .lamps.environments import instantiated
 from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
 from .models.reading import SUFFIXES, is_model, model
 from .moving import Described, moved
 from .parsing import (
+    Change,
     Size,
     built_integrator,
     check_films,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError
@@ -19,6 +19,10 @@ Size = tuple[int, int]
 #: Shapes that are meshes in files.
 MESH_PLUGINS = ("ply", "obj", "serialized")
 _CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+
+
+#: A change of Mitsuba's parsed scene, before its objects are built.
+Change = Callable[["mi.parser.ParserState"], None]
 
 
 def give_types(state: mi.parser.ParserState) -> None:

@@ -138,13 +138,13 @@ class PatchProduct(Product[R]):
         says where it is."""
         if isinstance(job.method, LineCasting):
             job.method.close()
-        if (path := self.checkpoint or self.if_stopped) is None:
+        if (path := self._kept_at(run)) is None:
             return
         try:
             job.checkpoint(run).write(path)
         except EtendueError as error:
             if (kept := self._rescued(job, run)) is not None:
-                add_to_message(error, self._how_to_resume(kept))
+                add_to_message(error, self._how_to_resume(kept, job, run))
             raise
 
     def finish(self, job: Job, run: RunResult, tell: Callable[[str], object] = silent) -> R:
@@ -166,7 +166,7 @@ class PatchProduct(Product[R]):
         return result
 
     def _kept_at(self, run: RunResult) -> Path | None:
-        return self.checkpoint or (self.if_stopped if run.stopped_by == "cancel" else None)
+        return self.checkpoint or (self.if_stopped if run.stopped_by in ("cancel", "failure") else None)
 
     @abstractmethod
     def at_once(
@@ -200,11 +200,17 @@ class PatchProduct(Product[R]):
             known = error if isinstance(error, EtendueError) else None
             failure = known or OutputError(f"the lines could not be evaluated: {describe(error)}")
             if (path := self._saved or self._rescued(job, run)) is not None:
-                add_to_message(failure, self._how_to_resume(path))
+                add_to_message(failure, self._how_to_resume(path, job, run))
             raise failure from (error.__cause__ if known else error)
 
-    def _how_to_resume(self, path: Path) -> str:
-        return f"; the lines are kept: etendue resume '{path}'"
+    def _how_to_resume(self, path: Path, job: Job, run: RunResult) -> str:
+        """To the number of what was cast, so that no more lines are cast."""
+        count, number = COUNTED[job.method.name][0], run.samples
+        if isinstance(job.method, LineCasting):
+            number = job.method.bundles(run.measurement)
+        elif count == "passes":
+            number = run.passes
+        return f"; the lines are kept: etendue resume '{path}' --{count} {number}"
 
     def _metadata(self, job: Job, **more: Any) -> dict[str, Any]:
         """Metadata of the files."""
