@@ -17,8 +17,8 @@ from etendue.film import matte_attributes, matte_layers
 from etendue.scene import Problem, graph
 
 from . import dimensions as dim
-from .bidirectional.photons import packed_normal, unpacked_normal
 from .camera import CameraSampler
+from .packing import packed_normal, unpacked_normal
 from .vertex import WalkVertex
 
 #: Camera rays per pixel and pass whose first hits are recorded: the layers have far less noise than the picture.

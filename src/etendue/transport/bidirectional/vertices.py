@@ -17,6 +17,7 @@ import mitsuba as mi
 from etendue.film import Component
 from etendue.scene import Material, Members, materials
 
+from ..packing import packed_direction, packed_normal, unpacked_direction
 from ..scattering import Evaluated, evaluate_light_end
 from ..vertex import Vertex, WalkVertex
 from .linear import Carried, Linear
@@ -24,9 +25,6 @@ from .photons import (
     Photons,
     depth_of,
     number_of,
-    packed_direction,
-    packed_normal,
-    unpacked_direction,
     weighting,
 )
 
