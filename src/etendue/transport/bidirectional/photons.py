@@ -26,7 +26,7 @@ import mitsuba as mi
 from etendue.density import HashGrid
 from etendue.film import Component
 
-from ..packing import unpacked_normal
+from ..packing import unpacked_direction, unpacked_normal
 from .linear import Carried, Linear
 
 T = TypeVar("T")
