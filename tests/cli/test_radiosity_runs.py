@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import signal
 import tempfile
@@ -14,10 +15,9 @@ import pytest
 from support import passes
 from support.patches import box, joined, square
 
-import etendue.radiosity.casting
+import etendue
 from etendue.cli.main import main
-from etendue.core import OutputError, Progress
-from etendue.jobs import FormFactorRequest, FormFactorWork, Passes, solutions
+from etendue.core import OutputError
 from etendue.radiosity import LineCasting, Patches, read_form_factors, thermal
 
 meshio = pytest.importorskip("meshio")
@@ -115,9 +115,10 @@ def test_a_mesh_under_a_sky_with_channels(capsys):
 def test_a_stopped_run_keeps_its_work_and_resumes_to_the_same(command, monkeypatch, capsys):
     """Bit by bit; after Ctrl-C there is a solution on what was cast."""
     assert run(f"{command} -o whole.npz --bundles 240 --seed 5") == 0
+    assert [path.name for path in Path().glob("whole*")] == ["whole.npz"]  # no checkpoint of what is finished
     with monkeypatch.context() as patch:
         interrupt_after(11, patch)
-        assert run(f"{command} -o part.npz --bundles 240 --seed 5 --checkpoint part.checkpoint") == 130
+        assert run(f"{command} -o part.npz --bundles 240 --seed 5") == 130
     assert "stopping after this pass" in capsys.readouterr().err
     assert 96 <= arrays_of("part.npz")[1]["bundles"] < 240
     assert run("resume part.checkpoint") == 0
@@ -138,8 +139,9 @@ def test_a_checkpoint_goes_on_to_more_of_the_same_and_to_nothing_else(capsys):
     assert run("resume c --bundles 72 -o more.npz -o more.vf") == 0
     assert arrays_of("more.npz")[1]["bundles"] == 72 and Path("more.vf").is_file()
     for arguments, message in (
-        ("", "used up; give a new one with --bundles, --time or --error"),
-        ("--spp 3", "--spp, -m and -D do not apply"),
+        ("", "used up; give a new one"),
+        ("--spp 3", "method 'lines' counts bundles: give bundles in place of spp"),
+        ("--particles 3", "is no file of particles"),
         ("--bundles 50", "72 bundles, more than 50"),
         ("--bundles 80 -o a.vtu", "take .npz"),
         ("--bundles 80 --scene other.vtu", "the scene is not the one"),
@@ -164,7 +166,7 @@ def test_pictures_are_resumed_as_they_were_asked_for(capsys, variant):
 
 def test_ctrl_c_while_the_run_begins(monkeypatch, capsys):
     """Before the session can be told to stop: it must not go on in its thread."""
-    from etendue.cli import solutions
+    from etendue.cli import lines
 
     def interrupted(*arguments, **named):
         session = start(*arguments, **named)
@@ -178,8 +180,8 @@ def test_ctrl_c_while_the_run_begins(monkeypatch, capsys):
         pressed.wait()
         prepare(self, problem, seed)
 
-    start, prepare, pressed = solutions.start_work, LineCasting.prepare, threading.Event()
-    monkeypatch.setattr(solutions, "start_work", interrupted)
+    start, prepare, pressed = lines.start_job, LineCasting.prepare, threading.Event()
+    monkeypatch.setattr(lines, "start_job", interrupted)
     monkeypatch.setattr(LineCasting, "prepare", late)
     assert run("form-factors room.vtu --checkpoint c") == 130
     assert "nothing was written" in capsys.readouterr().err
@@ -204,7 +206,7 @@ def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, caps
         raise OutputError(f"cannot write '{path}': no space left")
 
     with monkeypatch.context() as patch:
-        patch.setattr(solutions, "save_solution", full)
+        patch.setattr("etendue.products.patches.solution_files.save_solution", full)
         patch.setattr(tempfile, "tempdir", str(tmp_path))
         assert run("radiosity room.vtu --emission glow --bundles 24") == 5
     err = capsys.readouterr().err.splitlines()[-1]
@@ -214,16 +216,15 @@ def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, caps
 
 
 def test_the_words_of_progress():
-    request = FormFactorRequest(source=Patches(*lit_room()[:2]), bundles=20)
-    work = FormFactorWork(request)
-    progress = Progress(
-        passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, rays_per_second=3e6, relative_error=1e-4
-    )
-    words = "2.0s, ETA 1:01, 3 Msegments/s, error 0.0100"
-    assert str(work.told(progress)) == f"24 bundles, 1.5e+06 segments, {words}"
-    assert str(Passes(work).told(progress)) == f"24 bundles, 1.5e+06 segments, {words}"
-    work.lines.casting.most = 20  # as in the end
-    assert str(work.told(progress)) == f"20 bundles, 1.5e+06 segments, {words}"
+    said = []
+    options = {"bundles": 20, "callback": lambda update: said.append(str(update.progress))}
+    etendue.compute_form_factors(Patches(*lit_room()[:2]), **options)
+    assert len(said) == 3
+    for words, bundles in zip(said, (8, 16, 20), strict=True):
+        assert re.match(rf"{bundles} bundles, [\d.e+]+ segments, [\d.]+s, ", words) and "Msegments/s" in words
+    said.clear()
+    etendue.solve_radiosity("cornell-box", "multipath", points=1 << 12, callback=options["callback"])
+    assert re.match(r"4096 lines, [\d.e+]+ segments, ", said[-1])
 
 
 def test_budgets_in_time_and_error(capsys):
@@ -240,11 +241,11 @@ def test_budgets_in_time_and_error(capsys):
 
 
 def test_more_lines_than_memory(monkeypatch, capsys):
-    monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: 20 * 10_000 * 8)
+    monkeypatch.setattr("etendue.radiosity.casting.free_memory", lambda: 20 * 10_000 * 8)
     assert run("radiosity room.vtu --emission glow --bundles 4096") == 2
     err = capsys.readouterr().err
     assert "4096 bundles of lines through 31 patches do not fit into memory" in err and "ask for fewer" in err
-    assert len(err.splitlines()) == 2 and not Path("solution.vtu").exists()
+    assert len(err.splitlines()) == 1 and not Path("solution.vtu").exists()
     assert run("radiosity room.vtu --emission glow --time 60") == 0
     assert "memory holds no more than these" in capsys.readouterr().err
     assert Path("solution.vtu").exists()
@@ -285,7 +286,7 @@ def test_a_face_without_area_moves_no_row(name, capsys):
     assert factors.sky[5] > 0.9 and factors.sky[6] < 0.5
 
 
-@pytest.mark.parametrize("more", ["", "--exact"])
+@pytest.mark.parametrize("more", ["", "-m exact"])
 def test_form_factors_are_written_to_every_file(more, capsys):
     vertices, faces = box((0, 0, 0), (1, 1, 1), 1, inward=True)
     meshio.write("box.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))

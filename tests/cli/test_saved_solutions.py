@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from etendue.products.patches import picture
 from support.patches import box, joined
 
 from etendue.cli.main import main
+from etendue.products.patches import picture
 from etendue.radiosity import ABuffer, read_solution, save_solution, scene_patches, solve
 from etendue.surfaces import SurfaceError
 
