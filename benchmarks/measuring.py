@@ -182,7 +182,8 @@ class Record:
         self.rows.append(cells)
 
     def publish(self, variant: str, results: Path | None = None) -> None:
-        """Print the table, and append it to the file ``results``, if one is given."""
+        """Print the table, and put it at the end of the file ``results``, if one is given, in place of an older one of
+        the same title."""
         for kept in _KEPT:
             kept.append(self)
         console.print(self.title, style="italic")
@@ -196,8 +197,11 @@ class Record:
             console.print(f"- {note}")
         console.print()
         if results is not None:
-            with results.open("a", encoding="utf-8") as out:
-                out.write(self._markdown(variant))
+            before = results.read_text("utf-8") if results.exists() else ""
+            older = re.compile(
+                rf"^## {re.escape(self.title)}, \d{{4}}-\d\d-\d\d.*?(?=^## |\Z)", re.MULTILINE | re.DOTALL
+            )
+            results.write_text(older.sub("", before).rstrip("\n") + "\n" + self._markdown(variant), "utf-8")
 
     def _markdown(self, variant: str) -> str:
         def line(cells: Sequence[str]) -> str:
