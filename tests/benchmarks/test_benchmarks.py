@@ -191,13 +191,13 @@ def test_a_record_is_appended(tmp_path, monkeypatch):
         "argv",
         [str(measuring.ROOT / "benchmarks" / "__main__.py"), "cost", "--out", "a/b", "--size", "8x8", "--out=c"],
     )
-    for number in range(2):
+    for number in (0, 1, 0):
         record = measuring.Record(f"Table {number}", ("", "a|b"))
         record.add("vcm", "1.0")
         record.notes.append("a note")
         record.publish("llvm_ad_rgb", tmp_path / "RESULTS.md")
     text = (tmp_path / "RESULTS.md").read_text("utf-8")
-    assert text.index("## Table 0") < text.index("## Table 1")
+    assert text.count("## Table 0") == 1 and text.index("## Table 1") < text.index("## Table 0")
     assert "| vcm | 1.0 |" in text and "a\\|b" in text and "- a note" in text
     assert "`python -m benchmarks cost --size 8x8`" in text and "mitsuba" in text
 
