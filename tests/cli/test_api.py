@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.patches import cube
 from support.tasks import rendering as picture
 
 import etendue
@@ -121,6 +123,7 @@ def test_callback_sees_the_picture_and_may_stop(kind):
         (etendue.render, {"samples": 4}, "there is no argument 'samples'; did you mean 'spp'?"),
         (etendue.render, {"time": 4}, "there is no argument 'time'; did you mean 'seconds'?"),
         (etendue.render, {"resume": "a"}, "there is no argument 'resume'; did you mean 'etendue.resume(file)'?"),
+        (etendue.render, {"xyzzy": 4}, None),
         (etendue.view, {"sessor": 4}, "method 'auto' has no option 'sessor'; did you mean 'sensor'?"),
         (etendue.trace_particles, {"pahts": 4}, "tracing by particles has no option 'pahts'; did you mean 'paths'?"),
         (etendue.trace_particles, {"samples": 1}, "there is no argument 'samples'; did you mean 'paths'?"),
@@ -139,7 +142,7 @@ def test_callback_sees_the_picture_and_may_stop(kind):
 def test_a_misspelt_argument_is_told_from_a_setting(call, given, text):
     with pytest.raises(OptionError) as error:
         call("cornell-box", **given)
-    assert str(error.value) == text
+    assert str(error.value) == text or (text is None and "; it has: max_depth, rr_depth, " in str(error.value))
 
 
 def test_a_callback_may_cancel_its_session():
@@ -168,11 +171,6 @@ def test_numbers_of_numpy_are_kept_in_checkpoints(tmp_path):
     assert made.image.shape == (12, 16, 3)
     resumed = etendue.resume(tmp_path / "a", spp=4)
     assert resumed.metadata["seed"] == 3 and resumed.metadata["samples"] == 4
-
-
-def test_another_name_gets_the_settings():
-    with pytest.raises(OptionError, match=r"'path' has no option 'xyzzy'; it has: .*max_depth"):
-        etendue.render("cornell-box", "path", xyzzy=1)
 
 
 def test_what_a_callback_raises_costs_no_work(tmp_path):
@@ -252,7 +250,7 @@ def test_a_picture_that_cannot_be_written_is_kept_as_arrays(tmp_path, temporary,
 
 
 def test_a_picture_that_cannot_be_developed_is_kept_as_a_checkpoint(tmp_path, temporary, monkeypatch):
-    monkeypatch.setattr("etendue.products.pictures.developed", lambda job, run: 1 / 0)
+    monkeypatch.setattr("etendue.products.pictures.developed", lambda *_: 1 / 0)
     with pytest.raises(
         OutputError, match=r"cannot develop the picture: ZeroDivisionError: .*; the checkpoint"
     ) as caught:
@@ -309,6 +307,59 @@ def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
     assert np.array_equal(film.read_exr(picture).image, resumed.image)
 
 
+#: Each verb with a short run of several passes, and the numbers of its result.
+VERBS = {
+    "render": (
+        lambda **options: etendue.render("cornell-box", "path", spp=6, **SMALL, **options),
+        lambda made: made.image,
+    ),
+    "resume": (
+        lambda **options: etendue.resume(begun(), spp=10, **options),
+        lambda made: made.image,
+    ),
+    "form factors": (
+        lambda **options: etendue.compute_form_factors(cube(1), bundles=24, **options),
+        lambda made: made.factors.matrix.toarray(),
+    ),
+    "radiosity": (
+        lambda **options: etendue.solve_radiosity("cornell-box", bundles=24, **options),
+        lambda made: made.solution.radiosity,
+    ),
+    "particles": (
+        lambda **options: etendue.trace_particles("cornell-box", paths=600, samples_per_pass=200, **options),
+        lambda made: made.particles.position,
+    ),
+}
+
+
+def begun():
+    """A new checkpoint of four camera paths per pixel."""
+    made = etendue.render("cornell-box", "path", spp=4, **SMALL)
+    path = Path(tempfile.mkdtemp()) / "a"
+    made.save_checkpoint(path)
+    return path
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_verb_runs_in_the_background(name, temporary):
+    """With the result of waiting; a callback is called in another thread, and may end the run."""
+    verb, numbers = VERBS[name]
+    threads, passes = set(), []
+
+    def callback(update):
+        threads.add(threading.current_thread())
+        passes.append(update.progress.passes)
+
+    session = verb(wait=False, callback=callback)
+    assert isinstance(session, etendue.Session)
+    np.testing.assert_array_equal(numbers(session.result), numbers(verb()))
+    assert len(passes) >= 3 and threading.main_thread() not in threads
+    with verb(wait=False, callback=lambda update: False) as session:
+        session.wait()
+    assert session.progress.passes < passes[-1]
+    np.testing.assert_array_equal(numbers(session.result), numbers(verb(callback=lambda update: False)))
+
+
 def test_session():
     began = time.perf_counter()
     session = etendue.render("cornell-box", "path", seconds=60, wait=False, **SMALL)
@@ -321,12 +372,6 @@ def test_session():
     assert not session.running
     assert session.result.metadata["stopped_by"] == "cancel"
     assert session.result.metadata["passes"] >= 2
-
-
-def test_a_session_calls_back():
-    with etendue.render("cornell-box", "path", spp=100, callback=lambda update: False, wait=False, **SMALL) as session:
-        session.wait()
-    assert session.result.metadata["passes"] == 1
 
 
 def test_session_reports_a_bad_scene_where_one_waits():

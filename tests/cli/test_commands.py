@@ -75,15 +75,6 @@ def test_names_of_outputs_come_from_scene_and_method(folder, capsys):
     assert "no tev at localhost:1 (Connection refused)" in capsys.readouterr().err
 
 
-def test_resume_goes_on(folder, capsys):
-    assert run("render cornell-box -m path --size 8x8 --spp 2 -D samples_per_pass=1 -o a.exr") == 0
-    assert run("resume a.checkpoint --spp 5") == 0
-    assert run("render cornell-box -m path --size 8x8 --spp 5 -D samples_per_pass=1 -o b.exr") == 0
-    assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
-    assert run("resume a.checkpoint") == 4
-    assert "the budget of the checkpoint is used up" in capsys.readouterr().err
-
-
 def test_a_bundled_scene_stays_what_it_is_where_a_file_has_its_name(folder, capsys):
     """In the checkpoint, in a run file, and by a line where it is a question."""
     os.mkdir("stage")
