@@ -11,8 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
+from etendue import view
 from etendue.scene import load, resized
-from etendue.viewer import Viewer, view
+from etendue.viewer import Viewer
 from etendue.viewer.camera import Pose
 from etendue.viewer.preview import Moving
 from etendue.viewer.protocol import unpacked
