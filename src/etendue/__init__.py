@@ -4,8 +4,8 @@
 any method without them.
 """
 
-from importlib import metadata
-from typing import Any
+from importlib import metadata as _metadata
+from typing import Any as _Any
 
 from . import (
     core as core,  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
@@ -42,15 +42,15 @@ from .verbs import (
 )
 
 try:
-    __version__ = metadata.version("etendue")
-except metadata.PackageNotFoundError:  # run from a source tree
+    __version__ = _metadata.version("etendue")
+except _metadata.PackageNotFoundError:  # run from a source tree
     __version__ = "unknown"
 
 register = register_method
 plugins.register()  # in every Mitsuba variant that is set, now or later
 
 
-def _html_of(thing: Any) -> str | None:
+def _html_of(thing: _Any) -> str | None:
     from .products.pages.notebook import html_of  # imported late: most of it is for pages and plots
 
     return html_of(thing)

@@ -29,6 +29,13 @@ _COUNTS = {
     "particles": "paths",
     "metropolis_particles": "paths",
 }
+#: The verb of a method, by what it counts.
+_VERBS = {
+    "bundles": "etendue.compute_form_factors and solve_radiosity",
+    "points": "etendue.solve_radiosity",
+    "passes": "etendue.solve_radiosity",
+    "paths": "etendue.trace_particles",
+}
 #: Methods by what they make.
 FACTORS, SOLUTIONS, PARTICLES = ("lines", "spheres"), ("lines", "multipath", "boxes"), tuple(_COUNTS)[4:]
 
@@ -84,6 +91,8 @@ def choose_method(
     the errors of parsing the scene.
     """
     if name is not None:
+        if current(name) in _COUNTS:
+            raise OptionError(f"method '{name}' makes no picture: it is for {_VERBS[count_of(find(name))]}")
         return methods.get(name)
     named = integrator_of(scene, parameters)
     if (method := methods.by_plugin(named)) is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import sys
 from collections.abc import Sequence
@@ -85,8 +86,9 @@ def write_scene(name: str, path: Path) -> int:
     if path.suffix.lower() != ".xml":
         raise OptionError(f"a scene is written as .xml, not as '{path.name}'")
     use_variant()
-    folder = path.with_name(f"{path.stem}-files")
-    write_bytes(path, scene_xml(bundled_scene(name), folder=folder.absolute()).encode())
+    folder = path.absolute().with_name(f"{path.stem}-files")
+    text = scene_xml(bundled_scene(name), folder=folder)
+    write_bytes(path, text.replace(f'"{folder}{os.sep}', f'"{folder.name}/').encode())  # both can be moved
     say(str(path))
     return 0
 
