@@ -16,7 +16,7 @@ from etendue import display, film
 from etendue.core import CheckpointError, OptionError, format_count, format_seconds
 from etendue.engine import Budget, Checkpoint
 from etendue.particles import ParticleFile, is_particle_file
-from etendue.products import count_of, current, find, limits_of
+from etendue.products import current, find, limits_of
 
 from ..console import say
 
@@ -86,7 +86,7 @@ def _of_checkpoint(file: Path) -> dict[str, Any] | None:
         "scene": place.get("source") or place.get("bundled") or "in memory",
         "settings": json.loads(saved.settings),
         "seed": saved.seed,
-        "budget": limits_of(Budget(**saved.budget), count_of(find(saved.method))),
+        "budget": limits_of(Budget(**saved.budget), find(saved.method).counts),
         "seconds": format_seconds(saved.earlier + saved.elapsed),
         "stopped_by": saved.stopped_by,
         "versions": saved.versions,
@@ -172,7 +172,7 @@ def _text(value: Any) -> str:
         return ", ".join(f"{name} {_text(inner)}" for name, inner in value.items())
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value) or "''"
 
 
 def _print_rows(rows: list[tuple[str, str]]) -> None:
