@@ -76,6 +76,8 @@ class Method(ABC):
     citations: ClassVar[tuple[str, ...]] = ()
     #: Whether a pass depends on the state after the previous one.
     carries_on: ClassVar[bool] = False
+    #: What a budget counts beside seconds and error: camera paths per pixel, or ``passes``, or other samples.
+    counts: ClassVar[str] = "spp"
     settings: Any
 
     @property

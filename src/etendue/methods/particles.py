@@ -114,6 +114,7 @@ class ParticleTracing(Method):
     """
 
     name: ClassVar[str] = "particles"
+    counts: ClassVar[str] = "paths"
     Settings: ClassVar[type[Settings]] = ParticleSettings
     citations: ClassVar[tuple[str, ...]] = ("Jensen1996", "Leeson2001")
 

@@ -25,7 +25,6 @@ from .registry import (
     budget_of as budget_of,
     choose_method as choose_method,
     chosen as chosen,
-    count_of as count_of,
     current as current,
     find as find,
     limits_of as limits_of,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
@@ -20,15 +21,6 @@ _EARLIER = {
     "hierarchical-lines": "spheres",
     "hierarchical-multipath": "boxes",
 }
-#: What the budget of a method that makes no picture counts; of ``boxes`` passes, of the others samples.
-_COUNTS = {
-    "lines": "bundles",
-    "spheres": "bundles",
-    "multipath": "points",
-    "boxes": "passes",
-    "particles": "paths",
-    "metropolis_particles": "paths",
-}
 #: The verb of a method, by what it counts.
 _VERBS = {
     "bundles": "etendue.compute_form_factors and solve_radiosity",
@@ -37,7 +29,13 @@ _VERBS = {
     "paths": "etendue.trace_particles",
 }
 #: Methods by what they make.
-FACTORS, SOLUTIONS, PARTICLES = ("lines", "spheres"), ("lines", "multipath", "boxes"), tuple(_COUNTS)[4:]
+FACTORS, SOLUTIONS, PARTICLES = (
+    ("lines", "spheres"),
+    ("lines", "multipath", "boxes"),
+    ("particles", "metropolis_particles"),
+)
+#: Methods that make no picture.
+_OTHERS = (*dict.fromkeys(FACTORS + SOLUTIONS), *PARTICLES)
 
 
 @cache
@@ -64,12 +62,14 @@ def table() -> dict[str, type[Method]]:
 def find(name: str) -> type[Method]:
     """The class of a method. Raises :class:`OptionError` if there is none, with the nearest name."""
     name = current(name)
-    if name in _COUNTS:
+    if name in _OTHERS:
         return _others()[name]
-    if isinstance(name, str) and name not in methods.table():
-        hint = suggest(name, [*methods.table(), *_COUNTS])
-        if "did you mean" in hint and not any(f"'{known}'" in hint for known in methods.table()):
-            raise OptionError(f"no method '{name}'; {hint}")
+    if (
+        isinstance(name, str)
+        and get_close_matches(name, _OTHERS, 1)
+        and not get_close_matches(name, methods.table(), 1)
+    ):
+        raise OptionError(f"no method '{name}'; {suggest(name, _OTHERS)}")
     return methods.get(name)
 
 
@@ -91,8 +91,8 @@ def choose_method(
     the errors of parsing the scene.
     """
     if name is not None:
-        if current(name) in _COUNTS:
-            raise OptionError(f"method '{name}' makes no picture: it is for {_VERBS[count_of(find(name))]}")
+        if current(name) in _OTHERS:
+            raise OptionError(f"method '{name}' makes no picture: it is for {_VERBS[find(name).counts]}")
         return methods.get(name)
     named = integrator_of(scene, parameters)
     if (method := methods.by_plugin(named)) is not None:
@@ -107,17 +107,12 @@ def current(name: Any) -> Any:
     return _EARLIER.get(name, name) if isinstance(name, str) else name
 
 
-def count_of(method: type[Method]) -> str:
-    """What the budget of a method counts."""
-    return _COUNTS.get(method.name, "spp")
-
-
 def budget_of(method: type[Method], limits: Mapping[str, Any]) -> Budget:
     """The budget of a run: ``seconds``, ``error`` (a relative standard error) and what the method counts.
 
     Raises :class:`OptionError` for a limit that the method does not count, and for values that are not above 0.
     """
-    given, count = {name: value for name, value in limits.items() if value is not None}, count_of(method)
+    given, count = {name: value for name, value in limits.items() if value is not None}, method.counts
     seconds, error, number = (given.pop(name, None) for name in ("seconds", "error", count))
     if given:
         raise OptionError(f"method '{method.name}' counts {count}: give {count} in place of {', '.join(given)}")

@@ -100,6 +100,7 @@ class LineCasting(Method):
     """
 
     name: ClassVar[str] = "lines"
+    counts: ClassVar[str] = "bundles"
     Settings: ClassVar[type[AnySettings]] = CastingSettings
     has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")

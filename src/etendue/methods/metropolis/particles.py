@@ -113,6 +113,7 @@ class MetropolisParticles(Carrying, Method):
     """
 
     name: ClassVar[str] = "metropolis_particles"
+    counts: ClassVar[str] = "paths"
     Settings: ClassVar[type[Settings]] = MetropolisParticlesSettings
     citations: ClassVar[tuple[str, ...]] = ("Leeson2001", "Metropolis1953")
     carries_on: ClassVar[bool] = True

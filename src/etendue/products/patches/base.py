@@ -26,13 +26,8 @@ R = TypeVar("R")
 
 #: Libraries of the extra `radiosity`.
 _LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
-#: What the budget of a method counts, and the budget if none is given. Bundles and lines are samples.
-COUNTED = {
-    "lines": ("bundles", Budget(samples=1024)),
-    "spheres": ("bundles", Budget(samples=1024)),
-    "multipath": ("points", Budget(samples=1 << 22)),
-    "boxes": ("passes", Budget(iterations=16)),
-}
+#: The budget of a run for which none is given, by what its method counts.
+_BUDGETS = {"bundles": Budget(samples=1024), "points": Budget(samples=1 << 22), "passes": Budget(iterations=16)}
 
 
 @dataclass(kw_only=True)
@@ -77,8 +72,8 @@ class PatchProduct(Product[R]):
     # ------------------------------------------------------------------ the run
 
     def default_budget(self, task: Task, problem: Any) -> Budget:
-        """See :data:`COUNTED`."""
-        return COUNTED[task.method.name][1]
+        """1024 bundles, four million points, or 16 passes."""
+        return _BUDGETS[task.method.counts]
 
     def make_method(self, task: Task, settings: Settings, problem: Any, budget: Budget) -> Method:
         """See :class:`Product`. Lines of a run to an error are cast as replicates."""
@@ -205,7 +200,7 @@ class PatchProduct(Product[R]):
 
     def _how_to_resume(self, path: Path, job: Job, run: RunResult) -> str:
         """To the number of what was cast, so that no more lines are cast."""
-        count, number = COUNTED[job.method.name][0], run.samples
+        count, number = job.method.counts, run.samples
         if isinstance(job.method, LineCasting):
             number = job.method.bundles(run.measurement)
         elif count == "passes":

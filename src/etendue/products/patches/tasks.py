@@ -13,7 +13,7 @@ from etendue.core import Method, OptionError, Settings, logger
 from etendue.engine import Task, silent
 from etendue.radiosity import SOLVERS, GroupSettings, LineCasting, PartSource, PatchSource
 
-from ..registry import FACTORS, SOLUTIONS, budget_of, chosen, count_of, current, find
+from ..registry import FACTORS, SOLUTIONS, budget_of, chosen, current, find
 from .base import PatchProduct
 from .factors import FormFactorProduct
 from .solution_files import SolutionFiles
@@ -162,7 +162,7 @@ class SolutionRun(PatchRun):
             product.check_files(False)
             return AtOnce(source, product)
         kind = chosen(method, (*SOLUTIONS, AMBIENT), "a solution")
-        if self.limits.get(count := count_of(kind)) == 1:
+        if self.limits.get(count := kind.counts) == 1:
             self.outputs.check_errors(None, f"at least two {count} to estimate the error")
         return self._task(source, kind, product)
 

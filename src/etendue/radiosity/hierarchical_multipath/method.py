@@ -136,6 +136,7 @@ class HierarchicalMultipath(Method):
     """
 
     name: ClassVar[str] = "boxes"
+    counts: ClassVar[str] = "passes"
     Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
     has_fast_noise: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")

@@ -66,6 +66,7 @@ class MultipathPasses(Method):
     """
 
     name: ClassVar[str] = "multipath"
+    counts: ClassVar[str] = "points"
     carries_on: ClassVar[bool] = True
     Settings: ClassVar[type[AnySettings]] = MultipathSettings
     has_fast_noise: ClassVar[bool] = False
