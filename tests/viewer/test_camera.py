@@ -9,7 +9,7 @@ import pytest
 
 from etendue.core import OptionError
 from etendue.scene import Problem, RenderSpace, bundled_scene, load
-from etendue.viewer.camera import Pose, held_back, place, projection, vertical_fov
+from etendue.viewer.camera import Pose, held_back, place, projection
 from etendue.viewer.preview import Preview
 
 
@@ -77,10 +77,6 @@ def test_the_pose_of_a_scene_is_that_of_its_sensor_and_projects_as_it_does():
     x, y, _, w = np.array(projection(problem, moved)) @ [*point, 1.0]
     assert (x / w, y / w) == pytest.approx((12.0, 24.0), abs=1e-3)
     assert moved.placed(moved.plain(problem), problem).distance == pytest.approx(moved.distance)
-
-
-def test_the_vertical_field_of_view():
-    assert vertical_fov(90.0, (200, 100)) == pytest.approx(math.degrees(2 * math.atan(0.5)))
 
 
 def test_moving_pictures_of_a_thin_lens_keep_their_trace():

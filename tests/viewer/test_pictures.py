@@ -73,7 +73,7 @@ def test_layers_tone_and_denoisers(viewer):
         assert state["still"] and state["method"] == "bpt" and tuple(state["size"]) == SIZE and state["camera"] is None
         assert not state["preparing"]
         progress, _ = await page.until("progress")
-        assert progress["done"] and (progress["samples"], progress["noise"]) == (16, None)
+        assert progress["done"] and (progress["samples"], progress["error"]) == (16, None)
         page.send("show", exposure=0.5)
         before = await shown(page, lambda frame: True)
         page.send("show", layer="depth")

@@ -81,7 +81,7 @@ def test_the_picture_is_refined_and_moves(viewer):
         assert fields["sampler"]["choices"] and fields["pyramid"]["kind"] == "bool"
         page.send("render", again=True)
         done = await finished(page)
-        assert done["samples"] == 4 and done["noise"] > 0
+        assert done["samples"] == 4 and done["error"] > 0
         while not page.frames or page.frames[-1][1]["moving"]:  # pictures follow messages
             await page.until("frame")
         still = page.frames[-1][1]
