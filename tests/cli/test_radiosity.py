@@ -147,6 +147,8 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors nothing.ply", "there is no mesh file nothing.ply"),
         ("form-factors room.ply -o f.csv", "take .npz, .vf"),
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
+        ("form-factors room.ply -o ''", "take .npz, .vf"),
+        ("form-factors room.ply --checkpoint c --no-checkpoint", "exclude each other"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
         ("form-factors room.ply -m exact --bundles 8", "method exact: no lines are cast, so leave out bundles"),

@@ -107,7 +107,7 @@ def checkpoint_beside(output: Path, checkpoint: Path | None, no_checkpoint: bool
     :class:`OptionError` if both are asked for."""
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    return None if no_checkpoint or checkpoint is not None else output.with_suffix(".checkpoint")
+    return None if no_checkpoint or checkpoint is not None else output.parent / f"{output.stem}.checkpoint"
 
 
 def parse_exposure(text: str | float) -> float | str:

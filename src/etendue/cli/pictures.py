@@ -83,8 +83,8 @@ def render(
     chosen = choose_method(method, found, parameters, notes.append)
     source = SceneSource(found, size, sensor, parameters, memory)
     pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
-    kept = checkpoint or opt.checkpoint_beside(pictures[0], checkpoint, no_checkpoint)
-    product = Picture.of(pictures, kept, save_every, False, tone, exposure)
+    beside = opt.checkpoint_beside(pictures[0], checkpoint, no_checkpoint)
+    product = Picture.of(pictures, checkpoint or beside, save_every, False, tone, exposure)
     task = picture_task(source, chosen, product, settings, seed, budget_of(chosen, limits))
 
     def open_job() -> Job:
