@@ -12,7 +12,6 @@ import pytest
 from support.patches import box, joined
 
 from etendue.cli.main import main
-from etendue.products.patches import base
 
 meshio = pytest.importorskip("meshio")
 sparse = pytest.importorskip("scipy.sparse")
@@ -209,15 +208,6 @@ def test_bad_input(command, message, capsys, variant):
     err = capsys.readouterr().err
     assert message in err and len(err.splitlines()) == 1
     assert sorted(Path().iterdir()) == before
-
-
-def test_a_missing_library_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(base, "find_spec", lambda name: None if name == "numba" else True)
-    for command in ("form-factors room.ply", "radiosity cornell-box"):
-        assert run(command) == 6
-        assert (
-            capsys.readouterr().err == "error: radiosity needs numba, not installed: pip install 'etendue[radiosity]'\n"
-        )
 
 
 def test_ctrl_c_before_the_first_line_keeps_the_old_file(monkeypatch, capsys):
