@@ -18,10 +18,12 @@ from typing import Annotated, Any
 import typer
 
 from etendue import methods
-from etendue.core import ClusterError, set_threads, use_variant
-from etendue.distributed import Cluster, DaskPool
+from etendue.core import set_threads, use_variant
+from etendue.distributed import Cluster, ProcessPool
 from etendue.engine import Budget, Job, Task
-from etendue.jobs import FormFactorRequest, FormFactorWork
+from etendue.products import Picture, picture_task
+from etendue.products.patches import AtOnce, FactorRun
+from etendue.scene import SceneSource
 
 from .measuring import Record, console, spread, verdict
 from .options import Methods, Out, Rounds
@@ -111,11 +113,9 @@ class _Crews:
 
     def __init__(self, stack: ExitStack) -> None:
         spawn = multiprocessing.get_context("spawn")
-        self._one = stack.enter_context(Cluster(DaskPool(workers=1, threads=1)))
-        self._two = stack.enter_context(Cluster(DaskPool(workers=2, threads=2)))
+        self._one = stack.enter_context(Cluster(ProcessPool(1, threads=1)))
+        self._two = stack.enter_context(Cluster(ProcessPool(2, threads=1)))
         self._alone = [stack.enter_context(ProcessPoolExecutor(1, spawn)) for _ in range(2)]
-        if len(self._two.pool.workers()) < 2:
-            raise ClusterError("two workers did not start in a minute; try on an idle machine")
 
     def row(self, name: str, seconds: float, rounds: int) -> _Row:
         """Measure in turn."""
@@ -143,8 +143,8 @@ class _Crews:
 
 
 def _task(name: str, passes: int) -> Task:
-    settings = _SETTINGS | _OWN.get(name, {})
-    return Task("cornell-glass", methods.get(name), settings, 0, Budget(iterations=passes), _SIZE)
+    source, settings = SceneSource("cornell-glass", _SIZE), _SETTINGS | _OWN.get(name, {})
+    return picture_task(source, methods.get(name), Picture(), settings, 0, Budget(iterations=passes))
 
 
 @cache
@@ -159,11 +159,13 @@ def _job(name: str, passes: int) -> Job:
     task, problem = _task(name, passes), _problem()
     method = task.method(task.method.Settings.from_mapping(task.settings))
     method.prepare(problem, task.seed)
-    return Job(problem, method, seed=task.seed, budget=task.budget, place={}, task=task)
+    return Job(task, problem, method, task.budget)
 
 
-def _casting(passes: int) -> FormFactorWork:
-    return FormFactorWork(FormFactorRequest(source="cornell-box", bundles=passes * _BUNDLES, max_area=_AREA), None)
+def _casting(passes: int) -> Job:
+    task = FactorRun(source="cornell-box", limits={"bundles": passes * _BUNDLES}, max_area=_AREA).task()
+    assert not isinstance(task, AtOnce)
+    return Job.open(task)
 
 
 def alone_seconds(name: str, passes: int) -> float:
@@ -171,9 +173,9 @@ def alone_seconds(name: str, passes: int) -> float:
     use_variant("llvm_ad_rgb")
     set_threads(1)
     if name == LINES:
-        work = _casting(passes)
+        job = _casting(passes)
         begin = time.perf_counter()
-        work.lines.cast(work.runner().run())
+        job.runner().run()
     else:
         _problem()
         begin = time.perf_counter()
@@ -183,13 +185,8 @@ def alone_seconds(name: str, passes: int) -> float:
 
 def cluster_seconds(cluster: Cluster, name: str, passes: int) -> float:
     """Seconds of passes on a cluster, whose workers prepare the method."""
-    if name == LINES:
-        work = _casting(passes)
-        work.cluster = cluster
-        runner = work.runner()
-    else:
-        job = _job(name, passes)
-        runner = job.runner(executor=cluster.rendering(job))
+    job = _casting(passes) if name == LINES else _job(name, passes)
+    runner = job.runner(cluster.executor(job))
     begin = time.perf_counter()
     runner.run()
     return time.perf_counter() - begin

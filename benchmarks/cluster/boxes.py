@@ -10,10 +10,13 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from etendue.distributed import Cluster, ProcessPool
-from etendue.jobs import ParticleRequest, ParticleWork, run_work
+from etendue.distributed import Cluster, ProcessPool, Traffic
+from etendue.engine import Budget, Job, Task
+from etendue.methods import ParticleTracing
 from etendue.particles import BoxGrid, Particles
-from etendue.scene import load, shape_boxes, unmerged
+from etendue.products import run_job
+from etendue.products.particles import ParticleProduct
+from etendue.scene import SceneSource, load, shape_boxes, unmerged
 
 from ..measuring import Record
 from .coherence import distinct_in_windows, lru_misses, visits
@@ -62,9 +65,8 @@ def coherence(
 
 def _traced(scene: str, paths: int, sampler: str) -> Particles:
     settings = {"sampler": sampler, "samples_per_pass": paths}
-    made = run_work(ParticleWork.open(ParticleRequest(scene=scene, paths=paths, settings=settings)))
-    assert made.particles is not None
-    return made.particles
+    task = Task(SceneSource(scene), ParticleTracing, ParticleProduct(), settings, budget=Budget(samples=paths))
+    return run_job(lambda: Job.open(task)).particles
 
 
 def divided(
@@ -107,9 +109,8 @@ def divided(
     yield record
 
 
-def _divided(cluster: Cluster, scene: str, paths: int, boxes: tuple[int, int, int] | None) -> tuple:
-    request = ParticleRequest(scene=scene, paths=paths, settings={"samples_per_pass": paths // 2}, boxes=boxes)
-    work = ParticleWork.open(request)
-    work.cluster = cluster
-    made = run_work(work)
+def _divided(cluster: Cluster, scene: str, paths: int, boxes: tuple[int, int, int] | None) -> tuple[Particles, Traffic]:
+    source, settings = SceneSource(scene, merge=boxes is None), {"samples_per_pass": paths // 2}
+    task = Task(source, ParticleTracing, ParticleProduct(boxes=boxes), settings, budget=Budget(samples=paths))
+    made = run_job(lambda: Job.open(task), cluster=cluster)
     return made.particles, made.traffic

@@ -15,9 +15,11 @@ import typer
 
 from etendue import methods
 from etendue.core import ClusterError
-from etendue.distributed import Cluster, DaskPool
+from etendue.distributed import Cluster, ProcessPool
 from etendue.engine import Budget, Job, Runner, Task
-from etendue.jobs.particles import ParticleRequest, ParticleWork
+from etendue.products import Picture, picture_task
+from etendue.products.particles import ParticleProduct
+from etendue.scene import SceneSource
 
 from ..measuring import Record, spread
 from ..options import Rounds, whole_numbers
@@ -54,7 +56,7 @@ def measure(
         "particles, diffuse-office": (lambda cluster: _particles(cluster, passes), _PARTICLE * _HITS * _PATHS),
     }
     with ExitStack() as stack:
-        crews = {n: stack.enter_context(Cluster(DaskPool(workers=n, threads=n))) for n in workers}
+        crews = {n: stack.enter_context(Cluster(ProcessPool(n, threads=1))) for n in workers}
         for kind, (make, size) in kinds.items():
             runs: dict[int, list[_Run]] = {n: [] for n in workers}
             for number in range(rounds + 1):
@@ -66,16 +68,20 @@ def measure(
 
 
 def _picture(cluster: Cluster, passes: int) -> Runner:
-    settings = {"samples_per_pass": 4}
-    job = Job.open(Task("sitting-room", methods.get("path"), settings, 0, Budget(iterations=passes), _SIZE))
-    return job.runner(executor=cluster.rendering(job))
+    source, budget = SceneSource("sitting-room", _SIZE), Budget(iterations=passes)
+    task = picture_task(source, methods.get("path"), Picture(), {"samples_per_pass": 4}, 0, budget)
+    return _runner(task, cluster)
 
 
 def _particles(cluster: Cluster, passes: int) -> Runner:
-    settings = {"samples_per_pass": _PATHS}
-    work = ParticleWork.open(ParticleRequest(scene="diffuse-office", paths=passes * _PATHS, settings=settings))
-    work.cluster = cluster
-    return work.runner()
+    source, settings = SceneSource("diffuse-office"), {"samples_per_pass": _PATHS}
+    budget = Budget(samples=passes * _PATHS)
+    return _runner(Task(source, methods.ParticleTracing, ParticleProduct(), settings, 0, budget), cluster)
+
+
+def _runner(task: Task, cluster: Cluster) -> Runner:
+    job = Job.open(task)
+    return job.runner(job.product.divided(job, cluster))
 
 
 def _run(runner: Runner, count: int) -> _Run:

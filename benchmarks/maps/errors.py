@@ -13,8 +13,8 @@ import typer
 
 from etendue import trace_particles
 from etendue.core import Array
-from etendue.jobs import MadeMap, MapOptions, make_map
 from etendue.particles import Particles
+from etendue.products.particles import MadeMap, MapOptions, make_map
 from etendue.scene import Problem, bundled_scene, load
 from etendue.surfaces import (
     HistogramBuilder,

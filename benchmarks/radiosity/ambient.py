@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from etendue.jobs import picture
 
 from etendue.core import Array
 from etendue.display import tonemap, write_png
 from etendue.points import OwenSobol
+from etendue.products.patches import picture
 from etendue.radiosity import (
     AMBIENT_TERMS,
     ABuffer,

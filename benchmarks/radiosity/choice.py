@@ -70,8 +70,9 @@ def _in_tree(patches: Patches, objects: Any, budget: int, seed: int) -> Array:
     """Form factors by bundles in a hierarchy of spheres, and the system."""
     import etendue
 
-    asked: dict[str, Any] = {"hierarchy": objects, "engine": "bundles", "main_share": 0.0, "seed": seed}
-    factors = etendue.compute_form_factors(patches, "pooled", bundles=_BUNDLES * budget, **asked).factors
+    asked: dict[str, Any] = {"objects": objects, "engine": "bundles", "main_share": 0.0, "seed": seed}
+    bundles = _BUNDLES * budget
+    factors = etendue.compute_form_factors(patches, "spheres", estimator="pooled", bundles=bundles, **asked).factors
     shot = _shot(patches, ABuffer(patches), budget, seed)
     return solve(patches, factors, "conjugate-gradient", shot=shot, tolerance=1e-4).radiosity
 

@@ -6,7 +6,6 @@ import pytest
 from support import scenes
 from support.running import run
 
-import etendue
 from etendue import methods, scene
 from etendue.core import Replica
 
@@ -58,11 +57,6 @@ def test_only_mirrors(name, settings):
     """A mirror in a white furnace: every pixel is 1, and no technique but emission contributes."""
     problem = _scene(sky={"type": "constant"}, ball={"type": "sphere", "bsdf": {"type": "conductor"}})
     assert np.allclose(_mean(problem, name, **settings), 1.0, atol=1e-4)
-
-
-def test_public_names():
-    for name in ("render", "start", "resume", "Rendering", "Session", "Update"):
-        assert callable(getattr(etendue, name))
 
 
 @pytest.mark.parametrize("method", ["bpt", "vcm"])

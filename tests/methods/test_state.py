@@ -15,9 +15,10 @@ import pytest
 from support import scenes
 from support.running import prepared
 from support.tables import thinned
+from support.tasks import job_of
 
 from etendue.core import Measurement, Replica
-from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
+from etendue.engine import Budget, Checkpoint, RunError, Runner, RunResult
 from etendue.methods.adaptive.stratified import StratifiedPath
 from etendue.methods.adaptive.vegas import VegasPath
 from etendue.methods.auto import Auto
@@ -95,7 +96,7 @@ def broken_off(method: Any) -> RunResult:
 
 def saved(left: RunResult, problem: Any, path: Path) -> Checkpoint:
     """``left`` as it is found again on disk."""
-    Job(problem, left.method, seed=1, budget=Budget(), place={}).checkpoint(left).write(path)
+    job_of(problem, left.method, 1).checkpoint(left).write(path)
     return Checkpoint.read(path)
 
 

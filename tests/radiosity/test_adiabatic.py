@@ -35,7 +35,7 @@ def test_heat_between_two_black_walls_by_way_of_adiabatic_ones(solver):
     np.testing.assert_allclose(solution.net_power[:, 0], [q, -q, 0, 0, 0, 0], rtol=1e-6, atol=1e-6 * q)
 
 
-@pytest.mark.parametrize("options", [{}, {"solver": "jacobi"}, {"solver": "multipath", "points": 1 << 17}])
+@pytest.mark.parametrize("options", [{}, {"solver": "jacobi"}, {"method": "multipath", "points": 1 << 17}])
 def test_adiabatic_walls_in_a_run(options):
     patches = cube(1, reflectance=[0.2, 0.2, 1, 1, 1, 1], emission=[1, 0, 0, 0, 0, 0])
     solution = etendue.solve_radiosity(patches, **({"bundles": 512} if "points" not in options else {}), **options)

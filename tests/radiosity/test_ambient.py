@@ -361,10 +361,9 @@ def test_at_once(tmp_path):
     np.testing.assert_array_equal(read.radiosity, result.solution.radiosity)
     assert error is None and read.residuals == ()
     other = tmp_path / "box.npz"
-    assert main(["radiosity", "cornell-box", "--ambient", "fuzzy", "-o", str(other), "--max-area", "0.1"]) == 0
-    found = etendue.solve_radiosity("cornell-box", ambient="fuzzy", max_area=0.1).solution
-    np.testing.assert_array_equal(read_solution(other)[0].radiosity, found.radiosity)
-    for words in (["cornell-box", "--ambient"], ["--ambient", "cornell-box"]):  # without a name
+    found = etendue.solve_radiosity("cornell-box", "ambient", max_area=0.1).solution
+    # With a name, without one, and as a method.
+    for words in (["cornell-box", "--ambient", "fuzzy"], ["--ambient", "cornell-box"], ["cornell-box", "-m", "ambient"]):
         assert main(["radiosity", *words, "-o", str(other), "--max-area", "0.1"]) == 0
         np.testing.assert_array_equal(read_solution(other)[0].radiosity, found.radiosity)
 
@@ -373,10 +372,10 @@ def test_after_some_bounces():
     patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 8)
     asked = {"bundles": 32, "shot": False, "local_rays": False}
     early = etendue.solve_radiosity(patches, ambient="fuzzy", bounces=2, **asked)
-    jacobi = etendue.solve_radiosity(patches, "jacobi", ambient="fuzzy", bounces=2, **asked)
+    jacobi = etendue.solve_radiosity(patches, solver="jacobi", ambient="fuzzy", bounces=2, **asked)
     np.testing.assert_array_equal(early.solution.radiosity, jacobi.solution.radiosity)
     assert len(early.solution.residuals) == 2 and early.bundles == 32
-    whole = etendue.solve_radiosity(patches, "jacobi", **asked).solution
+    whole = etendue.solve_radiosity(patches, solver="jacobi", **asked).solution
     np.testing.assert_allclose(mean(patches, early.solution.radiosity), mean(patches, whole.radiosity), rtol=0.01)
 
 
@@ -384,12 +383,12 @@ def test_an_iteration_of_conjugate_gradient_is_no_bounce(caplog):
     asked = {"ambient": "fuzzy", "bundles": 4, "shot": False, "local_rays": False}
     patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 8)
     for bounces, warns in ((1, False), (2, True)):
-        etendue.solve_radiosity(patches, "conjugate-gradient", bounces=bounces, **asked)
-        assert ("leave out solver= for jacobi" in caplog.text) == warns
+        etendue.solve_radiosity(patches, solver="conjugate-gradient", bounces=bounces, **asked)
+        assert ("leave out the solver for jacobi" in caplog.text) == warns
 
 
-def test_sub_scenes_by_name_and_by_boxes(tmp_path, monkeypatch, capsys):
-    """From Python and the command line: booths by an array of a file, and by the boxes of the hierarchy."""
+def test_sub_scenes_by_name_and_by_boxes(tmp_path, monkeypatch, caplog):
+    """From Python and the command line: booths by an array, and boxes around groups of objects."""
     meshio = pytest.importorskip("meshio")
     patches, parts = three_rooms()
     asked = {"ambient": "fuzzy"}
@@ -399,20 +398,21 @@ def test_sub_scenes_by_name_and_by_boxes(tmp_path, monkeypatch, capsys):
     cells = {"booth": [parts], "glow": [glow]}
     meshio.write("hall.vtu", meshio.Mesh(patches.vertices, [("quad", patches.faces)], cell_data=cells))
     words = "radiosity hall.vtu --emission glow --reflectance 0.5 --ambient fuzzy -o a.npz"
-    assert main([*words.split(), "--sub-scenes", "booth"]) == 0
+    assert main([*words.split(), "--sub-scenes", "objects", "--objects", "booth"]) == 0
     np.testing.assert_allclose(read_solution("a.npz")[0].irradiance, exact, rtol=1e-12)
+    named = etendue.solve_radiosity(patches, sub_scenes="objects", objects=parts, **asked).solution
+    np.testing.assert_allclose(named.irradiance, exact, rtol=1e-12)
     boxed = sub_scenes_of(grouped(patches, find_objects(patches).of_patch, 0.5, least=1))
     assert 1 < len(boxed.parts) < 6
     exact = ambient_solution(patches, "fuzzy", boxed).irradiance
-    boxes = etendue.solve_radiosity(patches, sub_scenes={"threshold": 0.5, "least": 1}, **asked).solution
+    boxes = etendue.solve_radiosity(patches, sub_scenes="boxes", threshold=0.5, least=1, **asked).solution
     np.testing.assert_allclose(boxes.irradiance, exact, rtol=1e-12)
-    assert main([*words.split(), "--sub-scenes", "boxes", "--threshold", "0.5", "-D", "least=1"]) == 0
+    assert main([*words.split(), "--sub-scenes", "boxes", "--threshold", "0.5", "--least", "1"]) == 0
     np.testing.assert_allclose(read_solution("a.npz")[0].irradiance, exact, rtol=1e-12)
     slabs = etendue.solve_radiosity(patches, sub_scenes="components", **asked).solution
     assert slabs.imbalance < 1e-5 and np.abs(slabs.irradiance / exact - 1).max() > 0.01
-    capsys.readouterr()
-    assert main([*words.split(), "--sub-scenes", "boxes", "-D", "least=1000"]) == 0
-    assert "no object or group is worth a box" in capsys.readouterr().err
+    etendue.solve_radiosity(patches, sub_scenes="boxes", least=1000, **asked)
+    assert "no object or group is worth a box" in caplog.text
 
 
 def test_copies_of_a_part_are_sub_scenes_where_they_are():
@@ -435,27 +435,25 @@ def test_copies_of_a_part_are_sub_scenes_where_they_are():
     ("options", "message"),
     [
         ({"ambient": "fuzz"}, "no ambient term 'fuzz'; did you mean 'fuzzy'"),
-        ({"ambient": "fuzzy", "bundles": 4}, "leave out bundles="),
-        ({"ambient": "fuzzy", "solver": "jacobi"}, "leave out solver="),
-        ({"ambient": "fuzzy", "solver": "multipath"}, "leave out ambient="),
-        ({"bounces": 3}, "say by ambient="),
-        ({"sub_scenes": "labels"}, "sub_scenes= is for an ambient solution at once"),
-        ({"ambient": "fuzzy", "bounces": 2, "sub_scenes": "labels"}, "without bounces="),
+        ({"ambient": "fuzzy", "bundles": 4}, "an ambient solution casts no lines: leave out bundles"),
+        ({"ambient": "fuzzy", "lines": 9, "checkpoint": "c"}, "leave out checkpoint, lines"),
+        ({"ambient": "fuzzy", "solver": "jacobi"}, "a solver is for method lines; ambient solves by itself"),
+        ({"ambient": "fuzzy", "method": "multipath"}, "ambient light without bounces needs no method 'multipath'"),
+        ({"method": "multipath", "ambient": "fuzzy", "bounces": 3}, "bounces is for method lines"),
+        ({"bounces": 3}, "bounces leaves light over: say by ambient how to spread it"),
+        ({"sub_scenes": "objects"}, "sub_scenes is for an ambient solution at once"),
+        ({"ambient": "fuzzy", "bounces": 2, "sub_scenes": "objects"}, "without bounces"),
+        ({"ambient": "fuzzy", "objects": "labels"}, "objects is for boxes and sub-scenes"),
         ({"ambient": "fuzzy", "sub_scenes": "booth"}, "or by an array of a mesh file, not by 'booth'"),
-        ({"ambient": "fuzzy", "sub_scenes": {"grid": 2}}, "sub_scenes= has objects, threshold, least and levels"),
-        ({"ambient": "fuzzy", "sub_scenes": {"levels": 0}}, "option 'levels' must be at least 1"),
-        ({"ambient": "fuzzy", "sub_scenes": 3}, "sub_scenes= is a name, not 3"),
-        ({"ambient": "fuzzy", "bounces": 0}, "bounces= is a whole number of at least 1"),
+        ({"ambient": "fuzzy", "sub_scenes": "objects", "levels": 2}, "levels is for boxes"),
+        ({"ambient": "fuzzy", "sub_scenes": "boxes", "levels": 0}, "option 'levels' must be at least 1"),
+        ({"ambient": "fuzzy", "bounces": 0}, "bounces is a whole number of at least 1"),
+        ({"ambient": "fuzzy", "wait": False}, "makes its result at once, without passes: leave out wait"),
     ],
 )
 def test_options_that_do_not_go_together(options, message):
     with pytest.raises(etendue.OptionError, match=message):
         etendue.solve_radiosity(cube(1, emission=1.0), **options)
-
-
-def test_no_session_for_what_is_there_at_once():
-    with pytest.raises(etendue.OptionError, match="take solve_radiosity"):
-        etendue.solve_radiosity(cube(1, emission=1.0), ambient="fuzzy", wait=False)
 
 
 def test_after_direct_light():

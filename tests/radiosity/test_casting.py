@@ -7,13 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
+from support.tasks import job_of
 
 import etendue.radiosity.casting
 import etendue.radiosity.error_estimate
 import etendue.radiosity.lines.abuffer
 import etendue.radiosity.solvers.shot
 from etendue.core import CheckpointError
-from etendue.engine import Budget, Checkpoint, Job, RunError, Runner
+from etendue.engine import Budget, Checkpoint, RunError, Runner
 from etendue.radiosity import (
     ABuffer,
     CastingSettings,
@@ -129,7 +130,7 @@ def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path, rep
     for i in range(17):
         part.step(i)
     assert part.noise > 0
-    job = Job(PatchProblem(patches), part.method, seed=3, budget=Budget(samples=256), place={}, start=part.measurement)
+    job = job_of(PatchProblem(patches), part.method, 3, Budget(samples=256), start=part.measurement)
     stopped = job.runner(cancel=Stop(after=5)).run()
     assert stopped.stopped_by == "cancel" and part.method.bundles(stopped.measurement) == 8 * 22
     job.checkpoint(stopped).write(tmp_path / "lines.checkpoint")
@@ -164,7 +165,7 @@ def test_a_pass_whose_casting_fails_is_cast_again(tmp_path, monkeypatch):
             part.run(samples=192)
     left = caught.value.run
     assert 0 < left.passes < 24
-    Job(PatchProblem(patches), part.method, seed=3, budget=Budget(), place={}).checkpoint(left).write(tmp_path / "a")
+    job_of(PatchProblem(patches), part.method, 3).checkpoint(left).write(tmp_path / "a")
     rest = Casting(patches, lines=lines, most=192)
     for casting, begun in ((rest, Checkpoint.read(tmp_path / "a")), (part, left)):
         result = casting.run(begun.measurement, samples=192)

@@ -196,9 +196,9 @@ def test_an_imbalance_far_above_its_error_is_a_warning(caplog):
     faces[-8:] = faces[-8:, ::-1]
     wrong = Patches(walls, faces, reflectance=0.5, emission=emission)
     for patches, is_right in ((right, True), (wrong, False)):
-        for options in ({"bundles": 64}, {"solver": "multipath", "points": 1 << 14}, {"hierarchy": True, "bundles": 2}):
+        for method, count in (("lines", {"bundles": 64}), ("multipath", {"points": 1 << 14}), ("boxes", {"passes": 2})):
             caplog.clear()
             with caplog.at_level(logging.WARNING, logger="etendue"):
-                result = etendue.solve_radiosity(patches, **options)
-            assert result.is_balanced == is_right, options
+                result = etendue.solve_radiosity(patches, method, **count)
+            assert result.is_balanced == is_right, method
             assert ("the power that enters the scene" in caplog.text) != is_right

@@ -72,7 +72,7 @@ def test_other_form_factors():
     np.testing.assert_allclose(found.matrix.toarray()[np.ix_(kept(broken), kept(broken))], expected, atol=1e-12)
     for factors in (found, local_form_factors(RayScene(broken), 64)):
         np.testing.assert_allclose(factors.row_sums(), ~broken.empty)
-    by_objects = etendue.compute_form_factors(broken, hierarchy="labels", walls=(), bundles=8).factors
+    by_objects = etendue.compute_form_factors(broken, "spheres", objects="labels", walls=(), bundles=8).factors
     np.testing.assert_allclose(by_objects.row_sums(), ~broken.empty, atol=0.05)
     assert not by_objects.row_sums()[broken.empty].any()
 
@@ -93,10 +93,10 @@ def test_solutions(solver):
     "options",
     [
         {"bundles": 16},
-        {"solver": "multipath", "points": 1 << 14},
-        {"hierarchy": "labels", "bundles": 2},
+        {"method": "multipath", "points": 1 << 14},
+        {"method": "boxes", "objects": "labels", "passes": 2},
         {"ambient": "fuzzy"},
-        {"ambient": "fuzzy", "sub_scenes": "labels"},
+        {"ambient": "fuzzy", "sub_scenes": "objects", "objects": "labels"},
     ],
 )
 def test_every_way_to_solve(options):

@@ -11,7 +11,7 @@ import pytest
 from support.patches import box, joined, room, square
 
 import etendue
-from etendue.core import CheckpointError, OptionError
+from etendue.core import OptionError
 from etendue.engine import Budget, Runner
 from etendue.points import Independent, OwenSobol
 from etendue.radiosity import (
@@ -280,29 +280,25 @@ def test_points_settings_and_seeds_decide_the_lines():
     patches = room(1)
     counted = {}
     for name in ("independent", "halton", "sobol", "auto"):
-        method = hierarchical(patches, points=name, lines=256, bundles_per_pass=2)
+        method = hierarchical(patches, point_set=name, lines=256, bundles_per_pass=2)
         counted[name] = method.segments(method.step(0, 3, {}).measurement).counted
     assert (counted["sobol"] == counted["auto"]).all() and (counted["halton"] != counted["independent"]).any()
     even = hierarchical(patches, main_share=0, lines=4096)
     assert (even.engine.lines != hierarchical(patches, lines=4096).engine.lines).any()
 
 
-def test_a_request_with_budget_checkpoint_and_resuming(tmp_path):
+def test_a_run_with_budget_checkpoint_and_resuming(tmp_path):
     patches, saved = room(2), tmp_path / "lines.checkpoint"
-    asked = {"hierarchy": "components", "lines": 512.0}
+    asked = {"method": "spheres", "objects": "components", "lines": 512.0}
     whole = etendue.compute_form_factors(patches, bundles=300, **asked)
     etendue.compute_form_factors(patches, bundles=130, checkpoint=saved, **asked)
-    later = etendue.compute_form_factors(patches, bundles=300, resume=saved, **asked)
+    later = etendue.resume(saved, scene=patches, bundles=300)
     assert whole.bundles == later.bundles == 300
     np.testing.assert_array_equal(whole.segments.counted, later.segments.counted)
     np.testing.assert_allclose(whole.factors.matrix.todense(), later.factors.matrix.todense(), atol=1e-12)
     expected = partial_form_factors(whole.segments, "F4").matrix
     np.testing.assert_array_equal(whole.factors.matrix.todense(), expected.todense())
-    with pytest.raises(CheckpointError, match="hierarchical-lines"):
-        etendue.compute_form_factors(patches, bundles=300, resume=saved)
-    with pytest.raises(CheckpointError, match="objects"):
-        etendue.compute_form_factors(patches, bundles=300, resume=saved, walls=[0, 1], **asked)
-    to_error = etendue.compute_form_factors(patches, error=0.2, hierarchy="components", main_share=0, engine="bundles")
+    to_error = etendue.compute_form_factors(patches, "spheres", error=0.2, main_share=0, engine="bundles")
     assert to_error.stopped_by == "error" and np.mean(1 / np.sqrt(to_error.segments.counted)) < 0.21
 
 
@@ -313,12 +309,12 @@ def test_objects_of_a_mesh_file_and_of_an_array(tmp_path):
     cells = {"thing": [numbers], "patch": [np.arange(len(patches)) // 2]}
     path = tmp_path / "room.vtu"
     meshio.Mesh(patches.vertices, [("quad", patches.faces)], cell_data=cells).write(path)
-    made = etendue.compute_form_factors(path, hierarchy="thing", bundles=4, lines=256.0)
+    made = etendue.compute_form_factors(path, "spheres", objects="thing", bundles=4, lines=256.0)
     assert made.segments.tree.objects.names == ("7", "8")
-    given = etendue.compute_form_factors(patches, hierarchy=numbers, bundles=4, lines=256.0)
+    given = etendue.compute_form_factors(patches, "spheres", objects=numbers, bundles=4, lines=256.0)
     np.testing.assert_array_equal(given.segments.tree.objects.of_patch, made.segments.tree.objects.of_patch)
     with pytest.raises(etendue.radiosity.PatchError, match="no array 'things' for its faces; did you mean 'thing'"):
-        etendue.compute_form_factors(path, hierarchy="things")
+        etendue.compute_form_factors(path, "spheres", objects="things")
     torn = etendue.radiosity.read_patches
     with pytest.raises(etendue.radiosity.PatchError, match="patch 3 has faces of the objects"):
         cells["thing"][0][6] = 9
@@ -361,7 +357,7 @@ def test_what_does_not_fit_is_refused():
     objects = find_objects(patches)
     for settings, message in (
         ({"main_share": 1.5}, "at most all of the lines"),
-        ({"points": "spiral"}, "a spiral is for bundles"),
+        ({"point_set": "spiral"}, "a spiral is for bundles"),
         ({"shot": True}, "neither shot"),
     ):
         with pytest.raises(RadiosityError, match=message):
@@ -373,9 +369,9 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(RadiosityError, match="the main sphere needs lines"):
         cast(sphere_tree(objects), lines=2, shares=np.eye(8)[1])
     for asked, message in (
-        ({"walls": [0]}, "walls= is for lines in a hierarchy"),
-        ({"hierarchy": "chairs"}, "objects are found by components"),
-        ({"hierarchy": "components", "engine": "raster"}, "one of rays, bundles"),
+        ({"walls": [0]}, "walls is for method spheres"),
+        ({"method": "spheres", "objects": "chairs"}, "objects are found by components"),
+        ({"method": "spheres", "engine": "raster"}, "one of rays, bundles"),
     ):
         with pytest.raises(OptionError, match=message):
             etendue.compute_form_factors(patches, bundles=1, **asked)
@@ -383,5 +379,5 @@ def test_what_does_not_fit_is_refused():
 
 def test_three_channels_of_a_scene():
     """Patches of a scene have three channels."""
-    result = etendue.compute_form_factors(scene_patches("cornell-box"), hierarchy="shapes", bundles=2)
+    result = etendue.compute_form_factors(scene_patches("cornell-box"), "spheres", objects="shapes", bundles=2)
     assert (result.factors.row_sums() > 0.5).all()

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from benchmarks.radiosity.plain_caster import PlainCaster
 from support.patches import room, square
+from support.tasks import job_of
 
 from etendue.core import CheckpointError
-from etendue.engine import Budget, Checkpoint, Job, Runner
+from etendue.engine import Budget, Checkpoint, Runner
 from etendue.points import Independent, OwenSobol
 from etendue.radiosity import (
     ABuffer,
@@ -333,7 +334,7 @@ def test_lines_of_all_generators_come_to_the_same(generator, sky):
     )
 
     def light(generator, points, seed):
-        settings = HierarchicalMultipathSettings(lines=1 << 14, generator=generator, points=points)
+        settings = HierarchicalMultipathSettings(lines=1 << 14, generator=generator, point_set=points)
         method = HierarchicalMultipath(settings)
         method.prepare(PartProblem(root), seed)
         solution = method.solution(Runner(method, seed=seed, budget=Budget(iterations=1)).run().measurement)
@@ -395,7 +396,7 @@ def test_a_run_is_resumed_bit_by_bit(tmp_path):
 
     whole = runner(budget=Budget(iterations=3)).run()
     part = runner(budget=Budget(iterations=2)).run()
-    Job(PartProblem(root), part.method, seed=3, budget=Budget(), place={}).checkpoint(part).write(tmp_path / "a")
+    job_of(PartProblem(root), part.method, 3).checkpoint(part).write(tmp_path / "a")
     saved = Checkpoint.read(tmp_path / "a")
     saved.require_scene(PartProblem(hall(2)).fingerprint)
     with pytest.raises(CheckpointError):

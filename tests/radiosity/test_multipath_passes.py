@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from support.patches import box, joined, square
 from support.running import Stepped
+from support.tasks import job_of
 
 from etendue.core import CheckpointError, Iterations
-from etendue.engine import Budget, Checkpoint, Job, Runner
+from etendue.engine import Budget, Checkpoint, Runner
 from etendue.radiosity import (
     MultipathPasses,
     MultipathSettings,
@@ -74,7 +75,7 @@ def test_a_run_is_resumed_bit_by_bit(tmp_path):
     whole = solution(run(prepared(patches), samples=8 << 10))
     method = prepared(patches)
     part = run(method, samples=3 << 10)
-    Job(PatchProblem(patches), method, seed=3, budget=Budget(), place={}).checkpoint(part).write(tmp_path / "a")
+    job_of(PatchProblem(patches), method, 3).checkpoint(part).write(tmp_path / "a")
     saved = Checkpoint.read(tmp_path / "a")
     assert saved.settings_of(MultipathPasses) == method.settings
     rest = run(prepared(patches), start=saved.measurement, state=saved.state, samples=8 << 10)
@@ -110,7 +111,7 @@ def test_a_budget_in_error_ends_at_the_scatter_over_seeds(patches, rays):
     """Or below: parts of an even sequence scatter more than their mean errs. 16 seeds tell a scatter to 18 %."""
     target, seeds, found = 0.02, 16, []
     for seed in range(seeds):
-        result = run(prepared(patches, seed, 256, shot_rays=rays), seed, error=target**2, samples=1 << 18)
+        result = run(prepared(patches, seed, 256, shot=rays), seed, error=target**2, samples=1 << 18)
         assert result.stopped_by == "error" and result.method.noise(result.measurement) <= target**2
         found.append(solution(result).radiosity)
     # Of the irradiance; reflectances are all alike.
@@ -121,7 +122,7 @@ def test_a_budget_in_error_ends_at_the_scatter_over_seeds(patches, rays):
 
 def test_a_shot_goes_first():
     patches = lamp_in_a_room()
-    method = prepared(patches, points=1 << 12, shot_rays=1 << 14)
+    method = prepared(patches, points=1 << 12, shot=1 << 14)
     result = solution(run(method, iterations=4))
     shot = shot_at_patches(RayScene(patches), 1 << 14, emitters=small_emitters(patches, 1.0))
     expected = multipath(MultipathSettings().lines(patches, 5), 1 << 14, shot=shot)

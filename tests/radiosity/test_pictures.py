@@ -5,13 +5,13 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from etendue.jobs import picture
 from support.patches import box, joined
 from support.scenes import camera, diffuse, mesh, rgb, transform
 
 from etendue.core import EtendueError, OptionError, Replica, SceneError
 from etendue.methods import Path
 from etendue.points import OwenSobol
+from etendue.products.patches import picture
 from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, SurfaceError, scene_patches, solve
 from etendue.scene import load
 
@@ -222,7 +222,7 @@ def test_one_channel_and_other_meshes():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"samples": 0}, OptionError, "samples is a whole number of at least 1"),
+        ({"spp": 0}, OptionError, "spp is a whole number of at least 1"),
         ({"gather": -1}, OptionError, "gather is a whole number of at least 0"),
         ({"irradiance_error": np.ones(3)}, RadiosityError, "have its shape"),
         ({"sensor": 3}, EtendueError, "no sensor 3"),

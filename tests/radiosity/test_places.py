@@ -6,11 +6,11 @@ import meshio
 import mitsuba as mi
 import numpy as np
 import pytest
-from etendue.jobs import picture
 from support.patches import room
 from support.scenes import diffuse, rgb
 
 from etendue.points import OwenSobol
+from etendue.products.patches import picture
 from etendue.radiosity import (
     ABuffer,
     ChainedRays,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from etendue.jobs import picture
 from support.patches import box, cube, joined, square
 from support.scenes import camera, diffuse
 
 from etendue.core import BackendError, SceneError
 from etendue.film import read_exr
+from etendue.products.patches import picture
 from etendue.radiosity import (
     Patches,
     RadiosityError,
