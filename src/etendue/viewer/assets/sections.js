@@ -35,6 +35,7 @@ function method(parent, connection, section) {
     make('div', { class: 'row' }, ...Object.values(budget).map((field) => field.element)),
     make('div', { class: 'row' }, ...sides.map((field) => field.element)));
   let built = '';
+  connection.on('error', () => { built = ''; }); // fields of what was refused show again what holds
   return (now) => {
     state = now;
     fillChoice(pick.select, state.methods, state.method);
