@@ -311,6 +311,13 @@ def test_objects_of_a_mesh_file_and_of_an_array(tmp_path):
     meshio.Mesh(patches.vertices, [("quad", patches.faces)], cell_data=cells).write(path)
     made = etendue.compute_form_factors(path, "spheres", objects="thing", bundles=4, lines=256.0)
     assert made.segments.tree.objects.names == ("7", "8")
+    etendue.compute_form_factors(path, "spheres", objects="thing", bundles=2, checkpoint=tmp_path / "c")
+    cells["thing"][0][numbers == 7] = 8
+    meshio.Mesh(patches.vertices, [("quad", patches.faces)], cell_data=cells).write(path)
+    with pytest.raises(etendue.CheckpointError, match="made with other objects; find them as they were, or cast anew"):
+        etendue.resume(tmp_path / "c", bundles=4)
+    numbers = cells["thing"][0]
+    made = etendue.compute_form_factors(path, "spheres", objects="thing", bundles=4, lines=256.0)
     given = etendue.compute_form_factors(patches, "spheres", objects=numbers, bundles=4, lines=256.0)
     np.testing.assert_array_equal(given.segments.tree.objects.of_patch, made.segments.tree.objects.of_patch)
     with pytest.raises(etendue.radiosity.PatchError, match="no array 'things' for its faces; did you mean 'thing'"):

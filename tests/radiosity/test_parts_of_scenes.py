@@ -1,4 +1,4 @@
-"""Hierarchical multipath of whole scenes: instances of Mitsuba, the Python call and the command."""
+"""Methods with parts of whole scenes: instances of Mitsuba, boxes around groups of objects."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import pytest
 from support.patches import room
 
 import etendue
-from etendue.cli.main import main
-from etendue.core import OptionError, SceneError, UnsupportedError
-from etendue.jobs import HierarchyResult
+from etendue.core import SceneError, UnsupportedError
 from etendue.radiosity import (
     ABuffer,
     Part,
@@ -82,8 +80,8 @@ def test_instances_are_copies_of_one_part(scene):
 def test_a_scene_with_instances_is_that_with_its_shapes(scene, tmp_path):
     """The same light as with the shapes in place of the instances, and a file of all patches."""
     chosen = {"lines": 1 << 14, "grid": 4, "sectors": 8}
-    found = etendue.solve_radiosity(scene, bundles=6, max_area=0.5, hierarchy=chosen, save=tmp_path / "a.npz")
-    assert isinstance(found, HierarchyResult) and found.passes == 6
+    found = etendue.solve_radiosity(scene, "boxes", passes=6, max_area=0.5, save=tmp_path / "a.npz", **chosen)
+    assert (found.passes, found.bundles, found.points) == (6, 0, 0) and found.is_balanced
     parts = found.parts
     missing = (parts.lost + parts.residual).sum() / parts.sent.sum()
     assert found.solution.imbalance == pytest.approx(missing, abs=1e-9)
@@ -107,7 +105,7 @@ def test_a_scene_with_instances_is_that_with_its_shapes(scene, tmp_path):
 
 
 def test_form_factors_of_instances_are_those_of_their_shapes(scene):
-    """All instances in one mesh, each of them an object of a hierarchy: what is in the place of an instance sees the
+    """All instances in one mesh, each of them an object: what is in the place of an instance sees the
     same."""
     found = etendue.compute_form_factors(scene, bundles=64, max_area=8.0)
     patches = instanced_patches(scene, max_area=8.0)
@@ -120,7 +118,7 @@ def test_form_factors_of_instances_are_those_of_their_shapes(scene):
         return np.sqrt((patches.areas @ (factors.matrix @ light - expected) ** 2) / (patches.areas @ expected**2)).max()
 
     assert error(found.factors) < 0.03
-    tree = etendue.compute_form_factors(scene, hierarchy=True, bundles=64, max_area=8.0)
+    tree = etendue.compute_form_factors(scene, "spheres", bundles=64, max_area=8.0)
     assert tree.segments.tree.objects.names == ("lamp", "instance 0", "instance 1")
     assert error(tree.factors) < 0.05
     for name in ("first", "second"):
@@ -128,73 +126,59 @@ def test_form_factors_of_instances_are_those_of_their_shapes(scene):
     np.testing.assert_array_equal(instanced_patches(scene).vertices, scene_patches(scene).vertices)
 
 
-def test_form_factors_of_a_scene_by_the_command(tmp_path, monkeypatch, capsys):
-    """A bundled scene, a name behind --hierarchy or none, and a checkpoint."""
-    monkeypatch.chdir(tmp_path)
-    words = "form-factors cornell-box -o f.npz --max-area 0.5 --bundles 16"
-    assert main(words.split()) == 0
-    for hierarchy in (["--hierarchy"], ["--hierarchy", "shapes"], ["--hierarchy=shapes"]):
-        assert main([*words.split(), *hierarchy, "--checkpoint", "c"]) == 0
-    assert main(["form-factors", "--hierarchy", "cornell-box", *words.split()[2:]]) == 0
-    assert main(["resume", "c", "--bundles", "32"]) == 0
-    assert "32 bundles" in capsys.readouterr().err
-    assert main([*words.split(), "--hierarchy", "thing"]) == 2
-    assert "or by an array of a mesh file, not by 'thing'" in capsys.readouterr().err
-
-
 def test_patches_parts_and_resumed_runs(tmp_path):
     patches = room(3, emission=np.eye(1, len(room(3)), 0)[0] * 10, reflectance=0.5)
-    asked = {"hierarchy": {"objects": "components", "least": 1, "threshold": 0.3, "lines": 1 << 10}}
+    asked = {"objects": "components", "least": 1, "threshold": 0.3, "lines": 1 << 10}
     path = tmp_path / "a.checkpoint"
-    whole = etendue.solve_radiosity(patches, bundles=4, **asked)
+    whole = etendue.solve_radiosity(patches, "boxes", passes=4, **asked)
     assert len(whole.parts.tree) > 1 and whole.irradiance_error.shape == (len(patches), 1)
-    part = etendue.solve_radiosity(patches, bundles=2, checkpoint=path, **asked)
-    rest = etendue.solve_radiosity(patches, bundles=4, resume=path, **asked)
+    part = etendue.solve_radiosity(patches, "boxes", passes=2, checkpoint=path, **asked)
+    rest = etendue.resume(path, scene=patches, passes=4)
     assert (part.passes, rest.passes) == (2, 4)
     np.testing.assert_array_equal(rest.solution.radiosity, whole.solution.radiosity)
-    with pytest.raises(etendue.CheckpointError):
-        etendue.solve_radiosity(patches, bundles=4, resume=path, hierarchy={"objects": "components", "lines": 1 << 10})
+    np.testing.assert_array_equal(rest.irradiance_error, whole.irradiance_error)
     parts = Part(patches, [(Part(Patches(*box((0, 0, 0), (0.05, 0.05, 0.05)))), np.eye(4))])
-    seen = etendue.solve_radiosity(parts, bundles=2, hierarchy={"lines": 1 << 12})
+    with pytest.raises(etendue.OptionError, match="parts are given: leave out objects, threshold, least and levels"):
+        etendue.resume(path, scene=parts, passes=4)
+    asked = {"passes": 2, "lines": 1 << 12}
+    seen = etendue.solve_radiosity(parts, "boxes", **asked)
     assert seen.solution is None and seen.parts.irradiance(1).shape == (6, 1)
+    assert len(etendue.solve_radiosity(parts, "boxes", save=tmp_path / "a.npz", **asked).patches) == len(patches) + 6
 
 
 @pytest.mark.parametrize(
-    ("asked", "error", "message"),
+    ("asked", "message"),
     [
-        ({"hierarchy": {"gird": 4}}, OptionError, "gird"),
-        ({"hierarchy": {"grid": 0}}, OptionError, "grid"),
-        ({"hierarchy": True, "solver": "jacobi"}, OptionError, "solves by itself"),
-        ({"hierarchy": {"threshold": -1}}, etendue.EtendueError, "threshold"),
-        ({"hierarchy": {"objects": "shape"}}, etendue.EtendueError, "objects are found by"),
+        ({"gird": 4}, "'gird'; did you mean 'grid'"),
+        ({"grid": 0}, "option 'grid' must be at least 1"),
+        ({"solver": "jacobi"}, "a solver is for method lines; boxes solves by itself"),
+        ({"threshold": -1}, "threshold"),
+        ({"objects": "shape"}, "objects are found by components, shapes, labels, or by an array of a mesh file"),
     ],
 )
-def test_bad_options_are_one_line(asked, error, message):
-    patches = room(2, emission=1.0, reflectance=0.5)
-    with pytest.raises(error, match=message) as found:
-        etendue.solve_radiosity(patches, bundles=1, **asked)
+def test_bad_options_are_one_line(asked, message):
+    with pytest.raises(etendue.OptionError, match=message) as found:
+        etendue.solve_radiosity(room(2, emission=1.0, reflectance=0.5), "boxes", passes=1, **asked)
     assert "\n" not in str(found.value)
+
+
+def test_instances_are_not_grouped_again(scene):
+    with pytest.raises(etendue.OptionError, match="instances of the scene are its parts: leave out objects"):
+        etendue.solve_radiosity(scene, "boxes", passes=1, objects="shapes")
 
 
 def test_parts_without_light_are_refused():
     with pytest.raises(SceneError, match="no light"):
-        etendue.solve_radiosity(Part(room(2)), bundles=1, hierarchy=True)
+        etendue.solve_radiosity(Part(room(2)), "boxes", passes=1)
 
 
-def test_the_command_solves_and_goes_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    words = "radiosity cornell-box --hierarchy --objects shapes --max-area 0.2 --bundles 2"
-    assert main([*words.split(), "-o", "b.npz"]) == 0
-    words = "radiosity --hierarchy cornell-box -D iterations=8 --max-area 0.2 --bundles 2 --checkpoint a.checkpoint"
-    assert main([*words.split(), "-o", "a.npz"]) == 0
-    np.testing.assert_array_equal(read_solution("a.npz")[0].radiosity, read_solution("b.npz")[0].radiosity)
-    capsys.readouterr()
-    assert main([*words.split(), "-o", "a.npz"]) == 0
-    assert "2 passes" in capsys.readouterr().err
-    first, _ = read_solution("a.npz")
-    assert main(["resume", "a.checkpoint", "--bundles", "3"]) == 0
-    assert "3 passes" in capsys.readouterr().err
-    second, _ = read_solution("a.npz")
-    assert (first.radiosity != second.radiosity).any()
-    assert main(["radiosity", "cornell-box", "--threshold", "0.5", "-o", "b.npz"]) != 0
-    assert "--threshold is for boxes around groups of objects: give --hierarchy" in capsys.readouterr().err
+def test_the_arguments_of_version_1(caplog):
+    """``hierarchy=`` is translated with a warning."""
+    patches = room(2, emission=1.0, reflectance=0.5)
+    old = etendue.solve_radiosity(patches, passes=1, hierarchy={"objects": "components", "least": 1, "lines": 1 << 10})
+    assert "hierarchy is now method boxes" in caplog.text
+    new = etendue.solve_radiosity(patches, "boxes", passes=1, objects="components", least=1, lines=1 << 10)
+    np.testing.assert_array_equal(old.solution.radiosity, new.solution.radiosity)
+    old = etendue.compute_form_factors(patches, bundles=2, hierarchy="components").factors.matrix
+    new = etendue.compute_form_factors(patches, "spheres", bundles=2, objects="components").factors.matrix
+    np.testing.assert_array_equal(old.toarray(), new.toarray())
