@@ -45,7 +45,8 @@ def setting(
 ) -> Any:
     """A dataclass field with its one-line documentation and its allowed range.
 
-    ``minimum`` and ``maximum`` are inclusive, ``above`` is an exclusive lower bound.
+    ``minimum`` and ``maximum`` are inclusive, ``above`` is an exclusive lower bound. A setting with an empty ``doc`` is
+    one that the method finds itself, for checkpoints.
     """
     metadata = {"doc": doc, "choices": choices, "minimum": minimum, "maximum": maximum, "above": above}
     return dataclasses.field(default=default, metadata=metadata)
@@ -104,7 +105,7 @@ class Settings:
                 raise OptionError(f"there is no argument '{name}'; did you mean '{known.get(meant, meant)}'?")
             hint = suggest(name, [*own, *cls.names()], "")
             if not hint.startswith("did"):
-                hint = f"it has: {', '.join(cls.names())}"
+                hint = f"it has: {', '.join(row[0] for row in cls.describe())}"
             raise OptionError(f"{owner} has no option '{name}'; {hint}")
 
     @classmethod
@@ -137,9 +138,11 @@ class Settings:
 
     @classmethod
     def describe(cls) -> list[tuple[str, str, Any, str]]:
-        """Rows ``(name, type, default, doc)`` for manual pages."""
+        """Rows ``(name, type, default, doc)`` for manual pages, of the settings that have a documentation."""
         rows = []
         for field, kind in cls._fields():
+            if not field.metadata["doc"]:
+                continue
             choices = field.metadata.get("choices")
             rows.append(
                 (field.name, "|".join(choices) if choices else kind.__name__, field.default, field.metadata["doc"])

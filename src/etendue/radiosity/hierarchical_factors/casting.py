@@ -50,7 +50,7 @@ class HierarchicalCastingSettings(CastingSettings):
     main_share: float = setting(
         MAIN_SHARE, "share of the lines in the sphere around the scene; 0 chooses all shares by least error", minimum=0
     )
-    objects_digest: str = setting("", "which objects there are: a checksum, found by itself")
+    objects_digest: str = setting("", "")
 
 
 class HierarchicalCasting(LineCasting):
