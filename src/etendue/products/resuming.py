@@ -91,7 +91,7 @@ def _patches(
         if "product" in saved.notes:
             place, known = saved.scene, dict(saved.notes["product"])
         else:
-            place, known = _of_earlier_version(saved.notes["lines"])
+            place, known = _of_earlier_version(saved.notes.pop("lines"))
         kind = known.pop("kind")
         common: dict[str, Any] = {"checkpoint": path, "save_every": save_every}
         if kind == FormFactorProduct.kind:
