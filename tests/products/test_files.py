@@ -1,4 +1,4 @@
-"""Files of jobs: checked before, written one by one, rescued where that fails."""
+"""Files of products: checked before, written one by one, rescued where that fails."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from etendue.core import OptionError, OutputError, SceneError
-from etendue.jobs import check_files, listed
-from etendue.jobs.files import Writing, add_to_message, rescued
+from etendue.products import Writing, check_files, listed
+from etendue.products.files import rescued
 
 
 @pytest.fixture
@@ -80,9 +80,3 @@ def test_a_failure_keeps_its_kind_and_several_are_one():
 def test_an_interruption_is_no_failure():
     with pytest.raises(KeyboardInterrupt), Writing().attempt("write 'a'"):
         raise KeyboardInterrupt
-
-
-def test_errors_say_more():
-    error = OptionError("no")
-    add_to_message(error, "; yes")
-    assert str(error) == "no; yes"

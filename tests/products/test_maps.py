@@ -8,9 +8,7 @@ import pytest
 from etendue import trace_particles
 from etendue.core import OptionError
 from etendue.film import read_exr
-from etendue.jobs import FileSource, MapOptions, make_map, write_map
-from etendue.jobs.maps import making
-from etendue.jobs.particles import repack
+from etendue.products.particles import FileSource, MapOptions, make_map, maps, repack, write_map
 from etendue.scene import load
 from etendue.surfaces import MapSurfaces, SurfaceError, face_sides, irradiance_at, read_map, vertex_radiosity
 
@@ -42,7 +40,7 @@ def test_every_kind_has_the_flux_of_the_particles(traced, kind):
 def test_passes_are_one_map(traced, monkeypatch):
     """A file in batches of a few thousand, and its particles at once."""
     path, problem = traced
-    monkeypatch.setattr("etendue.jobs.maps.sources._BATCH", 3000)
+    monkeypatch.setattr("etendue.products.particles.sources._BATCH", 3000)
     options, told = MapOptions("kernel", cells=1000, bandwidth=0.2), []
     by_parts = make_map(problem, FileSource(path), options, told.append)
     at_once = make_map(problem, FileSource(path).file.read(), options)
@@ -57,22 +55,22 @@ def test_bandwidths_are_of_all_particles(traced, monkeypatch):
     """Files are sorted by surface: a rule must not see the first batch alone. A part of all is nearly as good."""
     path, problem = traced
     surfaces = MapSurfaces(problem, 100)
-    whole = making._widths(surfaces, FileSource(path).file.read(), MapOptions("kernel"))
-    monkeypatch.setattr("etendue.jobs.maps.sources._BATCH", 3000)
-    np.testing.assert_allclose(making._widths(surfaces, FileSource(path), MapOptions("kernel")), whole)
-    monkeypatch.setattr(making, "_SAMPLE", 20_000)
-    np.testing.assert_allclose(making._widths(surfaces, FileSource(path), MapOptions("kernel")), whole, rtol=0.05)
+    whole = maps._widths(surfaces, FileSource(path).file.read(), MapOptions("kernel"))
+    monkeypatch.setattr("etendue.products.particles.sources._BATCH", 3000)
+    np.testing.assert_allclose(maps._widths(surfaces, FileSource(path), MapOptions("kernel")), whole)
+    monkeypatch.setattr(maps, "_SAMPLE", 20_000)
+    np.testing.assert_allclose(maps._widths(surfaces, FileSource(path), MapOptions("kernel")), whole, rtol=0.05)
 
 
 def test_the_rule_of_bandwidths_reads_few_passes(traced, monkeypatch):
     path, problem = traced
     surfaces = MapSurfaces(problem, 100)
-    whole = making._widths(surfaces, FileSource(path).file.read(), MapOptions("kernel"))
-    monkeypatch.setattr(making, "_SAMPLE", 10_000)
+    whole = maps._widths(surfaces, FileSource(path).file.read(), MapOptions("kernel"))
+    monkeypatch.setattr(maps, "_SAMPLE", 10_000)
     source, read = FileSource(path), []
     unpacked = source.file._unpacked
     monkeypatch.setattr(source.file, "_unpacked", lambda chosen, then: unpacked(read.append(chosen) or chosen, then))
-    np.testing.assert_allclose(making._widths(surfaces, source, MapOptions("kernel")), whole, rtol=0.1)
+    np.testing.assert_allclose(maps._widths(surfaces, source, MapOptions("kernel")), whole, rtol=0.1)
     (chunks,) = read
     assert len({block.head["pass"] for block in chunks}) == 1 and len(source.file.passes) == 4
 

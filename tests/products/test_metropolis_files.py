@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from support import scenes
 
-from etendue import scene, trace_particles
+from etendue import resume, trace_particles
 from etendue.core import CheckpointError, OptionError
-from etendue.jobs.particles import repack, state_file
 from etendue.particles import LAYOUT, ParticleFile
+from etendue.products.particles import repack
+from etendue.products.particles.tracing import state_file
 
 CHAINS = {"chains": 256, "steps": 16, "bootstrap": 4096}
 STEPS = 256 * 16
@@ -27,7 +28,7 @@ def test_a_file_goes_on_as_if_it_had_not_ended(tmp_path):
     assert whole.counters["paths"] == 3 * STEPS and whole.passes == 3
     traced(tmp_path / "part.particles", 2)
     room = scenes.room("rectangle", ()).scene
-    trace_particles(room, resume=tmp_path / "part.particles", paths=3 * STEPS)
+    resume(tmp_path / "part.particles", scene=room, paths=3 * STEPS)
     a, b = (ParticleFile(tmp_path / f"{name}.particles").read() for name in ("whole", "part"))
     assert len(a) == len(b) > 3 * STEPS / 10
     for name in LAYOUT:
@@ -38,7 +39,7 @@ def test_a_compressed_copy_goes_on(tmp_path):
     traced(tmp_path / "part.particles", 1)
     repack(tmp_path / "part.particles", tmp_path / "copy.particles", "packed")
     room = scenes.room("rectangle", ()).scene
-    trace_particles(room, resume=tmp_path / "copy.particles", paths=2 * STEPS)
+    resume(tmp_path / "copy.particles", scene=room, paths=2 * STEPS)
     traced(tmp_path / "whole.particles", 2)
     copy, whole = (ParticleFile(tmp_path / f"{name}.particles").read() for name in ("copy", "whole"))
     assert len(copy) == len(whole)
@@ -50,7 +51,7 @@ def test_chains_that_are_missing_are_named(tmp_path):
     traced(path, 1)
     state_file(path).unlink()
     with pytest.raises(CheckpointError, match=r"cannot go on without '.*some.particles.state'"):
-        trace_particles(scenes.room("rectangle", ()).scene, resume=path, paths=2 * STEPS)
+        resume(path, scene=scenes.room("rectangle", ()).scene, paths=2 * STEPS)
 
 
 def test_a_run_that_was_killed_between_the_chains_and_their_particles(tmp_path):
@@ -58,22 +59,17 @@ def test_a_run_that_was_killed_between_the_chains_and_their_particles(tmp_path):
     path = tmp_path / "some.particles"
     traced(path, 1)
     room, particles, early = scenes.room("rectangle", ()).scene, path.read_bytes(), state_file(path).read_bytes()
-    trace_particles(room, resume=path, paths=2 * STEPS)
+    resume(path, scene=room, paths=2 * STEPS)
     late = path.read_bytes()
     path.write_bytes(particles)
-    assert trace_particles(room, resume=path, paths=2 * STEPS).passes == 2
+    assert resume(path, scene=room, paths=2 * STEPS).passes == 2
     path.write_bytes(late)
     state_file(path).write_bytes(early)
     with pytest.raises(CheckpointError, match="has their state after pass 0, but the last pass is 1; trace a new file"):
-        trace_particles(room, resume=path, paths=3 * STEPS)
+        resume(path, scene=room, paths=3 * STEPS)
 
 
 def test_a_pass_that_does_not_fit_into_memory_is_refused(tmp_path):
     with pytest.raises(OptionError, match=r"a pass of 256 chains with 65000 steps needs 1132 MB.*lower steps"):
         traced(tmp_path / "some.particles", 1, steps=65000, memory=100 << 20)
     assert not list(tmp_path.iterdir())
-
-
-def test_an_unknown_way_to_trace_is_named():
-    with pytest.raises(OptionError, match="no way 'metropolis' to trace particles; did you mean"):
-        trace_particles(scene.load("cornell-box").scene, method="metropolis")

@@ -12,15 +12,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from etendue.jobs import FormFactorResult, HierarchyResult, ParticleResult, RadiosityResult, Rendering
-from etendue.jobs.pages.notebook import LiveProgress
-from etendue.jobs.pages.solution import Making, render_solution_page
 from PIL import Image
 
 import etendue
 from etendue.conformance import Finding, Report
 from etendue.core import InNotebooks, Progress, Result
 from etendue.particles import Particles
+from etendue.products import FormFactorResult, RadiosityResult, Rendering
+from etendue.products.pages.notebook import LiveProgress
+from etendue.products.particles import ParticleResult
+from etendue.products.patches.page import Making, render_solution_page
 from etendue.radiosity import FormFactors, Patches, Solution, box
 
 sparse = pytest.importorskip("scipy.sparse")
@@ -107,9 +108,11 @@ def particles() -> Particles:
 
 def test_results_show_themselves(solution):
     result = rendering()
-    common = {"patches": solution.patches, "stopped_by": "samples", "elapsed": 2.0, "bundles": 64}
-    solved = RadiosityResult(**common, solution=solution, irradiance_error=0.1 * solution.irradiance)
-    in_boxes = HierarchyResult(None, solution.patches, solution, None, passes=16, stopped_by="samples", elapsed=2.0)
+    common = {"patches": solution.patches, "stopped_by": "samples", "elapsed": 2.0}
+    solved = RadiosityResult(**common, solution=solution, irradiance_error=0.1 * solution.irradiance, bundles=64)
+    in_boxes = RadiosityResult(**common, solution=solution, passes=16)
+    parts = SimpleNamespace(tree=SimpleNamespace(total=123))
+    of_copies = RadiosityResult(patches=None, solution=None, stopped_by="error", elapsed=2.0, passes=3, parts=parts)
     shown: list[tuple[InNotebooks, int, list[str]]] = [
         (result, 1, ["vcm, 32 × 24", "a <b>.xml", "2 Mrays/s", "depth"]),
         (Result(result.layers, {}), 1, ["picture, 32 × 24"]),
@@ -117,9 +120,10 @@ def test_results_show_themselves(solution):
         (solution, 2, ["54", "0.002", "imbalance of power"]),
         (solved, 2, ["64", "10 %", "number of bundles"]),
         (in_boxes, 2, ["16", "number of passes"]),
+        (of_copies, 0, ["123", "3", "error"]),
         (solution.patches, 2, ["54", "emitters"]),
         (factors(54), 1, ["2916", "1 to 1"]),
-        (FormFactorResult(**common, factors=factors(54), segments=None), 1, ["64"]),
+        (FormFactorResult(**common, factors=factors(54), bundles=64), 1, ["64"]),
         (particles(), 1, ["500", "up to 2"]),
         (Particles.empty(), 0, ["0"]),
     ]
@@ -232,7 +236,7 @@ def notebook(monkeypatch) -> list[str]:
 
 def test_a_run_in_a_notebook_shows_its_progress(notebook):
     seen = []
-    options = {"samples": 3, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
+    options = {"spp": 3, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
     etendue.render("cornell-box", "path", callback=lambda update: seen.append(update.progress.passes), **options)
     assert seen == [1, 2, 3]
     assert "starting" in notebook[0] and "pass 1, 1 spp" in notebook[1]
@@ -253,11 +257,11 @@ def test_a_run_that_does_not_reach_its_end_says_so(notebook, error, kind, how):
         if update.progress.passes == 2:
             raise error
 
-    options = {"samples": 300, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
+    options = {"spp": 300, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
     with pytest.raises(kind) as caught:
         etendue.render("cornell-box", "path", callback=stop, **options)
     if how == "interrupted":  # a notebook prints the frames of the library only, not those of the pass
-        assert caught.traceback[-1].name == "run_work" and "etendue.start" in caught.value.__notes__[0]
+        assert caught.traceback[-1].name == "run_job" and "wait=False" in caught.value.__notes__[0]
     assert f"{how}: pass 2, 2 spp" in notebook[-1]
     assert "ETA" not in notebook[-1] and "<progress" not in notebook[-1]
 

@@ -1,4 +1,4 @@
-"""Work on particles: the limits of a resumed file are checked as those of a new one, in the words of who asks."""
+"""Runs that trace particles: limits of a resumed file, the size of passes, methods that do not trace."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ import pytest
 from support.run_files import SCENE
 
 import etendue
-from etendue.cli.radiosity_outputs import Options
 from etendue.core import EtendueError, OptionError
-from etendue.engine import Budget
-from etendue.jobs import ParticleRequest, ParticleWork
 
 
 @pytest.fixture(scope="module")
@@ -23,34 +20,43 @@ def traced(tmp_path_factory, variant) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("limits", "python", "terminal"),
+    ("limits", "text"),
     [
-        ({"particles": 0}, "in particles must be a whole number of at least 1, not 0", "particles (--particles) must"),
-        ({"particles": -5}, "in particles must be a whole number of at least 1, not -5", "not -5"),
-        ({"particles": 1.5}, "in particles must be a whole number of at least 1, not 1.5", "not 1.5"),
-        ({"paths": 9000, "particles": 9000}, "paths= and particles= limit the same", "--paths and --particles limit"),
-        ({}, "give a new one with paths=, particles= or seconds=", "with --paths, --particles or --time"),
+        ({"particles": 0}, "a budget in particles must be a whole number of at least 1, not 0"),
+        ({"particles": 1.5}, "not 1.5"),
+        ({"paths": 0}, "a budget in paths must be a whole number of at least 1, not 0"),
+        ({"paths": 9000, "particles": 9000}, "paths and particles limit the same; give one of them"),
+        ({"spp": 4}, "method 'particles' counts paths: give paths in place of spp"),
+        ({"error": 0.1}, "particles have no error"),
+        ({}, "the budget of the checkpoint is used up; give a new one"),
     ],
 )
-def test_limits_of_a_resumed_file(traced, limits, python, terminal):
+def test_limits_of_a_resumed_file(traced, limits, text):
     before = traced.read_bytes()
-    with pytest.raises(EtendueError) as caught:
-        etendue.trace_particles(None, resume=traced, **limits)
-    assert python in str(caught.value)
-    with pytest.raises(EtendueError) as caught:
-        ParticleWork.resume(traced, Budget(samples=limits.get("paths")), limits.get("particles"), wording=Options())
-    assert terminal in str(caught.value)
+    with pytest.raises(EtendueError, match=text):
+        etendue.resume(traced, **limits)
     assert traced.read_bytes() == before
 
 
-def test_how_to_go_on_with_an_existing_file(traced):
-    for words, how in (
-        ({}, f"go on with it by resume='{traced}'"),
-        ({"wording": Options()}, f"etendue resume {traced}"),
+def test_what_cannot_be_traced(traced):
+    for asked, text in (
+        ({"method": "metropolis"}, "no method 'metropolis' for particles; did you mean 'metropolis_particles'"),
+        ({"method": "path"}, "no method 'path' for particles"),
+        ({"save": traced}, "exists: choose another name, remove it, or go on with it by `etendue resume`"),
+        ({"particles": 10, "paths": 10}, "paths and particles limit the same; give one of them"),
+        ({"boxes": (2, 1, 1)}, "give workers or cluster with boxes"),
     ):
-        with pytest.raises(OptionError) as caught:
-            ParticleRequest(scene="cornell-box", output=traced, **words)
-        assert str(caught.value).endswith(how)
+        with pytest.raises(OptionError, match=text):
+            etendue.trace_particles("cornell-box", **asked)
+
+
+def test_a_number_of_particles_is_about_reached_and_goes_on(tmp_path):
+    path = tmp_path / "a.particles"
+    made = etendue.trace_particles("cornell-box", particles=4000, save=path)
+    assert 3000 < made.counters["particles"] < 5500 and made.stopped_by == "samples"
+    more = etendue.resume(path, particles=8000)
+    assert 6000 < more.counters["particles"] < 11_000
+    assert len(etendue.read_particles(path)) == more.counters["particles"]
 
 
 def test_a_small_budget_of_chains_has_small_passes():

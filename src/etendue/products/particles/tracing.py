@@ -38,6 +38,7 @@ from etendue.engine import (
     Product,
     RunResult,
     Task,
+    check_count,
     silent,
     versions,
 )
@@ -98,7 +99,7 @@ class ParticleProduct(Product[ParticleResult]):
     known: ParticleFile | None = None  #: the file of a run that is resumed
 
     def __post_init__(self) -> None:
-        Budget(samples=self.particles)
+        self.particles = check_count("particles", self.particles)
         Codec.parse(self.codec)
         if self.boxes is not None:
             BoxGrid.check_counts(self.boxes)
