@@ -17,10 +17,11 @@ from support.scenes import camera, diffuse
 
 import etendue
 from etendue.core import CheckpointError, EtendueError, OptionError, OutputError
-from etendue.engine import Budget, RunError
-from etendue.jobs import ParticleWork, repack
+from etendue.engine import RunError, remaining
 from etendue.methods import ParticleTracing
 from etendue.particles import ParticleError, ParticleFile, Particles, ParticleWriter, blocks
+from etendue.products import saved_task
+from etendue.products.particles import repack
 from etendue.scene import load
 
 PATHS = 4000
@@ -170,7 +171,7 @@ def test_a_run_that_goes_on_gives_the_same_file(tmp_path):
     inside = (known.passes[1].end + known.passes[2].end) // 2
     for place in (inside, known.passes[2].end + 3, whole().stat().st_size - 20):
         path = cut(tmp_path / "cut.particles", place)
-        result = etendue.trace_particles(scene(), resume=path)
+        result = etendue.resume(path, scene=scene())
         assert result.passes == 4 and result.counters["paths"] == 4 * PATHS
         equal(etendue.read_particles(path), etendue.read_particles(whole()))
         assert [block.head["crc"] for block in ParticleFile(path).chunks] == [b.head["crc"] for b in known.chunks]
@@ -180,18 +181,18 @@ def test_a_killed_run_goes_on_with_its_last_budget(tmp_path):
     """That of the run that was killed, not of the first one."""
     path = tmp_path / "a.particles"
     path.write_bytes(whole().read_bytes())
-    etendue.trace_particles(scene(), resume=path, paths=7 * PATHS)
+    etendue.resume(path, scene=scene(), paths=7 * PATHS)
     cut_off = path.read_bytes()[: ParticleFile(path).passes[4].end + 100]
     path.write_bytes(cut_off)
-    assert etendue.trace_particles(scene(), resume=path).passes == 7
+    assert etendue.resume(path, scene=scene()).passes == 7
 
 
 def test_a_finished_run_goes_on_with_a_new_budget(tmp_path):
     path = cut(tmp_path / "a.particles", -1)
     path.write_bytes(whole().read_bytes())
     with pytest.raises(CheckpointError, match="the budget of the checkpoint is used up"):
-        etendue.trace_particles(scene(), resume=path)
-    etendue.trace_particles(scene(), resume=path, paths=5 * PATHS)
+        etendue.resume(path, scene=scene())
+    etendue.resume(path, scene=scene(), paths=5 * PATHS)
     equal(
         etendue.read_particles(path),
         _packed(scene(), tmp_path / "b.particles", paths=5 * PATHS, samples_per_pass=PATHS, seed=2),
@@ -206,10 +207,10 @@ def _packed(source, path, **options) -> Particles:
 def test_a_callback_ends_the_run_and_the_file_is_whole(tmp_path):
     path = tmp_path / "a.particles"
     options = {"paths": 4 * PATHS, "samples_per_pass": PATHS}
-    result = etendue.trace_particles(scene(), save=path, callback=lambda progress: progress.passes < 2, **options)
+    result = etendue.trace_particles(scene(), save=path, callback=lambda update: update.progress.passes < 2, **options)
     assert result.stopped_by == "cancel" and result.particles is None
     assert len(ParticleFile(path).passes) == 2
-    etendue.trace_particles(scene(), resume=path)
+    etendue.resume(path, scene=scene())
     assert ParticleFile(path).paths == 4 * PATHS
 
 
@@ -217,7 +218,7 @@ def test_particles_of_another_scene_do_not_go_on(tmp_path):
     path = cut(tmp_path / "a.particles", ParticleFile(whole()).passes[1].end)
     other = load(box((0.25, 0.25, 0.25)))
     with pytest.raises(CheckpointError, match="the scene is not the one"):
-        etendue.trace_particles(other.scene, resume=path)
+        etendue.resume(path, scene=other.scene)
     with pytest.raises(ParticleError, match="has particles of another scene"):
         ParticleFile(path).require_scene(other)
     from_elsewhere = load(box() | {"sensor": camera(size=(40, 30), origin=(0.5, 0.0, 0.5), target=(0.0, 0.0, 0.0))})
@@ -253,7 +254,7 @@ def test_passes_behind_a_damage_are_not_removed(tmp_path, caplog):
     assert "is damaged behind its first 1 passes: 3 more are left out" in caplog.text
     assert len(damaged.passes) == 1 and damaged.lost == 3
     with pytest.raises(OutputError, match="to go on would remove 3 whole passes behind the damage"):
-        etendue.trace_particles(scene(), resume=path, paths=9 * PATHS)
+        etendue.resume(path, scene=scene(), paths=9 * PATHS)
     assert path.read_bytes() == before
     assert ParticleFile(without_index(path)).lost == 0
 
@@ -263,7 +264,7 @@ def test_two_runs_do_not_write_to_one_file(tmp_path):
 
     def second(_):
         with pytest.raises(OutputError, match="another run writes to"):
-            etendue.trace_particles(scene(), resume=path, paths=9 * PATHS)
+            etendue.resume(path, scene=scene(), paths=9 * PATHS)
         errors.append(1)
 
     etendue.trace_particles(scene(), save=path, callback=second, paths=2 * PATHS, samples_per_pass=PATHS, max_bounces=3)
@@ -301,11 +302,11 @@ def test_a_killed_run_goes_on_with_the_rest_of_its_time(tmp_path):
     known = ParticleFile(path)
     path.write_bytes(path.read_bytes()[: known.passes[-1].end])
     assert not ParticleFile(path).is_finished
-    work = ParticleWork.resume(path, Budget(), scene=scene())
+    task, saved = saved_task(path, scene=scene())
     spent, seconds = known.passes[-1].head["elapsed"], known.counters["seconds"]
-    assert work._job.budget.seconds == pytest.approx(1000.0 - spent)
+    assert not task.budget and remaining(saved).seconds == pytest.approx(1000.0 - spent)
     assert 0 < seconds <= spent
-    assert work._job.start.counters["seconds"] == seconds
+    assert saved.measurement.counters["seconds"] == seconds
 
 
 def test_packing_a_file_that_is_not_finished(tmp_path):
@@ -315,7 +316,7 @@ def test_packing_a_file_that_is_not_finished(tmp_path):
     repack(whole(), tmp_path / "c.particles", "exact")
     assert ParticleFile(tmp_path / "c.particles").is_finished
     with pytest.raises(CheckpointError, match="the budget of the checkpoint is used up"):
-        etendue.trace_particles(scene(), resume=tmp_path / "c.particles")
+        etendue.resume(tmp_path / "c.particles", scene=scene())
 
 
 def test_a_run_without_a_pass_leaves_no_file(tmp_path, monkeypatch):
@@ -328,12 +329,6 @@ def test_a_run_without_a_pass_leaves_no_file(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         etendue.trace_particles(scene(), save=path, paths=PATHS)
     assert not path.exists()
-
-
-def test_a_resumed_file_keeps_its_own_settings(tmp_path):
-    for name, value in {"keep": "first", "seed": 3, "codec": "raw", "save": "x", "memory": 1 << 30}.items():
-        with pytest.raises(OptionError, match=f"a resumed file has {name}= of its own"):
-            etendue.trace_particles(scene(), resume=whole(), paths=9 * PATHS, **{name: value})
 
 
 def test_parts_by_pass():
@@ -403,7 +398,7 @@ def test_a_full_disk_keeps_what_is_written(tmp_path):
         etendue.trace_particles(scene(), save=path, **options)
     assert "\n" not in str(e.value)
     assert len(ParticleFile(path).passes) == 2
-    etendue.trace_particles(scene(), resume=path)
+    etendue.resume(path, scene=scene())
     equal(etendue.read_particles(path), etendue.read_particles(whole()))
 
 
@@ -432,5 +427,5 @@ def test_packing_anew(tmp_path):
     repack(packed, twice, "exact+bz2")
     equal(etendue.read_particles(packed), etendue.read_particles(twice))
     assert ParticleFile(twice).bounds == ParticleFile(packed).bounds != {}
-    etendue.trace_particles(scene(), resume=twice, paths=3 * PATHS)
+    etendue.resume(twice, scene=scene(), paths=3 * PATHS)
     assert ParticleFile(twice).paths == 3 * PATHS

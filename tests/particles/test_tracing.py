@@ -12,7 +12,7 @@ from support.particles import POWER, box
 from support.scenes import diffuse, rgb
 
 import etendue
-from etendue.core import OptionError, SceneError
+from etendue.core import SceneError
 from etendue.methods import ParticleTracing
 from etendue.particles import Particles
 from etendue.scene import Problem, load
@@ -132,12 +132,10 @@ def test_the_same_seed_gives_the_same_particles_in_the_same_order():
     assert not np.array_equal(one.position[:100], other.position[:100])
 
 
-def test_budgets_in_paths_and_particles():
+def test_a_budget_in_particles():
     result = etendue.trace_particles(problem().scene, particles=20_000)
     assert len(result.particles) == pytest.approx(20_000, rel=0.05)
     assert result.counters["particles"] == len(result.particles)
-    with pytest.raises(OptionError, match="paths= and particles= limit the same"):
-        etendue.trace_particles(problem().scene, paths=10, particles=10)
 
 
 def test_a_scene_in_which_no_light_arrives():
