@@ -76,9 +76,9 @@ def imports(path: Path) -> Iterator[tuple[int, str]]:
             for alias in node.names:
                 # `from etendue.core import backend` may name a module or something inside the package.
                 yield node.lineno, f"{base}.{alias.name}"
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if (found := BY_STRING.fullmatch(node.value)) and (found[2] or id(node) in modules):
-                module = f"etendue{found[1]}"
+        elif isinstance(node, ast.Constant) and (found := BY_STRING.fullmatch(str(node.value))):
+            module = f"etendue{found[1]}"
+            if found[2] or id(node) in modules:
                 yield node.lineno, f"{module}.{found[2]}" if found[2] else whole(module)
 
 
