@@ -14,7 +14,7 @@ from support.experiments import call
 from typer.testing import CliRunner
 
 from etendue import methods, scene
-from etendue.core import OptionError, Replica
+from etendue.core import Replica
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -95,74 +95,10 @@ def test_without_a_command_all_are_run(monkeypatch, tmp_path):
     assert CliRunner().invoke(app, ["long"]).exit_code == 0 and calls == [["a", "b"]]
 
 
-def test_tasks_take_turns():
-    calls = []
-    tasks = {name: lambda number, name=name: calls.append((number, name)) for name in "ab"}
-    times = module("measuring").interleaved(tasks, rounds=2, warm_up=1)
-    assert calls == [(0, "a"), (0, "b"), (1, "a"), (1, "b"), (2, "a"), (2, "b")]
-    assert [len(clocks) for clocks in times.values()] == [2, 2]
-    assert all(clock.wall >= 0 and clock.cpu >= 0 for clocks in times.values() for clock in clocks)
-
-
 def test_settings_of_the_cost_benchmark_exist():
     assert module("measuring").COST_SETTINGS.keys() == methods.table().keys()
     for name, settings in module("measuring").COST_SETTINGS.items():
         methods.get(name).Settings(**settings)
-
-
-def test_variants_of_settings_take_turns_with_their_method():
-    cost = module("cost")
-    variants = [cost.Variant.parse(text) for text in ("bpt", "bpt:split_layers=true:rr_depth=3", "path:mode=mis")]
-    record = cost.measure(variants, (16, 16), rounds=2, warm_up=1)
-    rows = {row[0]: row for row in record.rows}
-    assert list(rows) == [
-        "Mitsuba path",
-        "bpt",
-        "bpt, roulette as Mitsuba",
-        "bpt split_layers=true rr_depth=3",
-        "path mode=mis",
-    ]
-    assert record.columns[-1] == "to the method without"
-    assert [name for name, row in rows.items() if row[-1]] == ["bpt split_layers=true rr_depth=3"]
-    ratio = float(rows["bpt split_layers=true rr_depth=3"][-1].split()[0])
-    assert ratio > 0.0
-    assert "to the method without" not in cost.measure(variants[:1], (8, 8), rounds=1, warm_up=1).columns
-
-
-def test_filters_take_turns():
-    record = module("filters").cost(["path"], 8, rounds=2)
-    (row,) = record.rows
-    assert row[0] == "path" and all(0.1 < float(cell.split()[0]) < 10.0 for cell in row[3:6])
-
-
-def test_short_renders_take_turns():
-    record = module("renders").measure(["light"], (8, 8), rounds=2, warm_up=1)
-    assert [row[0] for row in record.rows] == ["Mitsuba path", "light", "light, prepared anew"]
-    assert all(float(row[1]) > 0.0 for row in record.rows)
-
-
-@pytest.mark.slow
-def test_guiding_is_compared_seed_by_seed():
-    (record,) = module("guided").measure(["ajar"], (12, 12), 0.3, 2, ["cell_samples=200"])
-    assert [row[0] for row in record.rows] == ["Mitsuba path", "path", "guided"]
-    assert float(record.rows[0][6]) == 1.0
-    assert "0.333" in record.rows[2][7]
-    assert all(float(row[1]) > 0.0 and float(row[5]) >= 1.0 for row in record.rows)
-    assert "cell_samples=200" in record.notes[-1]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("vmc", "did you mean 'vcm'"),
-        ("vcm:split_layer=1", "method 'vcm' has no option 'split_layer'; did you mean 'split_layers'"),
-        ("vcm:split_layers", "vcm needs name=value"),
-        ("vcm:split_layers=maybe", "'split_layers' must be true or false"),
-    ],
-)
-def test_a_variant_that_does_not_exist(text, message):
-    with pytest.raises(OptionError, match=message):
-        module("cost").Variant.parse(text)
 
 
 @pytest.mark.parametrize("name", ["path", "bpt", "vcm"])
@@ -182,47 +118,6 @@ def test_every_ray_is_recorded(name):
     for rays in (closest, shadow):
         assert np.isfinite(np.asarray(rays.o)).all()
         assert np.linalg.norm(np.asarray(rays.d), axis=0) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_a_record_is_appended(tmp_path, monkeypatch):
-    measuring = module("measuring")
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [str(measuring.ROOT / "benchmarks" / "__main__.py"), "cost", "--out", "a/b", "--size", "8x8", "--out=c"],
-    )
-    for number in (0, 1, 0):
-        record = measuring.Record(f"Table {number}", ("", "a|b"))
-        record.add("vcm", "1.0")
-        record.notes.append("a note")
-        record.publish("llvm_ad_rgb", tmp_path / "RESULTS.md")
-    text = (tmp_path / "RESULTS.md").read_text("utf-8")
-    assert text.count("## Table 0") == 1 and text.index("## Table 1") < text.index("## Table 0")
-    assert "| vcm | 1.0 |" in text and "a\\|b" in text and "- a note" in text
-    assert "`python -m benchmarks cost --size 8x8`" in text and "mitsuba" in text
-
-
-@pytest.mark.parametrize(("value", "words"), [(2.8, "reached"), (2.81, "missed")])
-def test_bars(value, words):
-    assert module("measuring").verdict(value, 2.8).endswith(words)
-
-
-def test_settings_of_quality_are_those_of_the_command_line(monkeypatch):
-    """``METHOD.NAME`` is for one method, and a name that no method has is an error, not left out."""
-    quality = module("quality")
-    given = []
-    picture = np.ones((4, 4, 3), np.float32)
-
-    def render(source, name, **options):
-        given.append((name, {k: v for k, v in options.items() if k not in ("seconds", "size", "seed")}))
-        facts = {"seconds": 1.0, "samples": 1, "passes": 1, "rays": 1.0}
-        return types.SimpleNamespace(image=picture, metadata=facts)
-
-    monkeypatch.setattr(quality, "render", render)
-    monkeypatch.setattr(quality, "find", lambda name, size: quality.Case(name, name, picture, "a note"))
-    define = ["vcm.radius=1", "radius=3", "max_dept=2"]
-    assert len(list(quality.measure(["x"], ["path", "vcm"], (4, 4), 1.0, 1, define))) == 1
-    assert given == [("path", {"max_dept": "2"}), ("vcm", {"radius": "1"})]
 
 
 def test_neighbours_are_compared_on_surfaces():
@@ -264,47 +159,6 @@ def test_densities_are_compared_with_scipy():
         *("FixedKernel", "BinnedKernel", "NearestNeighbours", "VariableKernel", "scipy gaussian_kde")
     ]
     assert all(row[3].endswith("times slower") for row in record.rows[:-1])
-
-
-def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
-    """The error of the reference is taken off, the median over seeds counts, the ratio is to the best candidate."""
-    choice = module("choice")
-    offsets = {"path": 0.3, "bpt": 0.1, "bpt with 6 connections": 0.2, "vcm": 0.4, "learn": 0.11}
-    assert offsets.keys() == {*choice.FIXED, "learn"}
-
-    def render(source, method, *, seconds, size, seed, radius):
-        """Halves of the reference, 1 on average."""
-        assert method == "vcm"
-        image = np.full((8, 8, 3), {1000: 1.02, 1001: 0.98}[seed], np.float32)
-        return types.SimpleNamespace(image=image)
-
-    filled = set()
-
-    def in_a_process(command, options, environment):
-        folder, choice = Path(options["out"]).parent, options.get("choice")
-        assert environment["DRJIT_CACHE_DIR"] == str(folder)
-        if options["seconds"] < 1.0:
-            filled.add((folder, choice))
-        elif choice in offsets:
-            assert {(folder, name) for name in offsets if name != "learn"} <= filled, "kernels were to be there"
-        extreme = 50.0 if choice and options["seed"] == 2 else 1.0  # one seed of three
-        offset = offsets[choice] if choice else {"path": 0.2, "auto": 0.1}[options["method"]]
-        np.save(options["out"], np.full((8, 8, 3), 1.0 + extreme * offset, np.float32))
-        samples = {"learn": 6, "bpt": 8}.get(choice, 10)
-        return {"samples": samples, "chosen": "bpt" if choice else options["method"]}
-
-    monkeypatch.setattr(choice, "render", render)
-    monkeypatch.setattr(choice, "child", in_a_process)
-    warm, cold = choice.measure(["cornell-box"], pixels=64, seconds=1.0, seeds=3, cold=5.0)
-    row = warm.rows[0]
-    own = 0.02**2 / 1.01
-    expected = [offset**2 / 1.01 - own for offset in offsets.values()]
-    assert [float(cell) for cell in row[1:6]] == pytest.approx(expected, rel=0.01)
-    ratio = expected[-1] / expected[1]
-    assert row[6:] == ("bpt", f"{ratio:.2f}", choice.verdict(ratio, 1.2), "0.75", "≥ 0.7: reached")
-    assert cold.rows[0][3:] == ("auto", "0.24", "≤ 1.3: reached")  # (0.1² - own) / (0.2² - own)
-    with pytest.raises(SystemExit, match="no test scene 'nowhere'"):
-        choice.measure(["nowhere"], pixels=64, seconds=1.0, seeds=1)
 
 
 @pytest.mark.slow

@@ -56,21 +56,6 @@ async def passes(page: Page, least: int) -> None:
 # -- pictures go on ------------------------------------------------------------------------------------------------
 
 
-def test_pictures_go_on_while_rays_are_traced(tmp_path: Any) -> None:
-    """Between question and answer several pictures are shown; each is a pass or more."""
-
-    async def conversation(page: Page) -> None:
-        await passes(page, 3)
-        before = len(page.frames)
-        message, found = await rays(page)
-        assert message["method"] == "path" and len(found["edges"]) > 50
-        assert len(page.frames) - before >= 3
-        assert message["arrays"][0]["name"] == "edges"
-
-    with etendue.view("cornell-box", "path", size=SIZE, max_depth=4, folder=tmp_path) as viewer:
-        talk(viewer, conversation)
-
-
 @pytest.mark.slow
 def test_a_solution_of_radiosity_is_made_by_the_process(tmp_path: Any) -> None:
     async def conversation(page: Page) -> None:
@@ -132,7 +117,8 @@ def test_a_pass_after_a_click_has_the_kernels_of_the_pass_before() -> None:
 
 
 def test_the_process_has_the_lights_the_changes_and_the_camera_of_the_session(tmp_path: Any) -> None:
-    """Light paths begin at an added light, where it was moved to; camera paths at the camera."""
+    """Light paths begin at an added light, where it was moved to; camera paths at the camera. Between question and
+    answer several pictures are shown; each is a pass or more."""
 
     async def conversation(page: Page) -> None:
         await passes(page, 1)
@@ -142,8 +128,11 @@ def test_the_process_has_the_lights_the_changes_and_the_camera_of_the_session(tm
         page.send("parameters.set", key="added-light-1.position", value=[0.25, 0.5, -0.25])
         await page.until("state", lambda m: m["panels"]["parameters"]["changes"])
         page.send("camera", set={"origin": [0.1, 0.2, 3.5], "target": [0, 0, 0]})
-        await passes(page, 1)
-        _, found = await rays(page, source="lights")
+        await passes(page, 3)
+        before = len(page.frames)
+        message, found = await rays(page, source="lights")
+        assert len(page.frames) - before >= 3
+        assert message["arrays"][0]["name"] == "edges"
         first = found["number"] == 1
         assert (found["kind"] == Edge.LIGHT).all() and first.sum() == 50
         np.testing.assert_allclose(found["edges"][first, 0], [[0.25, 0.5, -0.25]] * 50, atol=1e-5)

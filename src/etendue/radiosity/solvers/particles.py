@@ -13,6 +13,7 @@ from etendue.surfaces import STEP, RayScene, Sides, around, cosine_law
 
 from ..errors import RadiosityError
 from ..lines.local import Emission
+from .absorption import check_absorption
 
 #: Largest number of bounces of a particle.
 _MOST_BOUNCES = 10_000
@@ -114,6 +115,7 @@ def _power(scene: RayScene) -> Array:
     patches = scene.patches
     if not patches.emission.any():
         raise RadiosityError("no patch emits light: particles start from emitting patches (the sky sends none)")
+    check_absorption(patches)
     return patches.areas[:, None] * patches.emission
 
 
