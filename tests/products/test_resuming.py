@@ -56,10 +56,11 @@ def test_a_run_of_version_1_goes_on_to_the_same(name, folder):
 
 
 def test_a_solution_of_version_1_ends_as_it_was_asked_for(folder):
-    task, _ = saved_task(folder / "solution.checkpoint", scene=folder / "hall.vtu", limits={"bundles": 8})
+    own = {"scene": folder / "hall.vtu", "save": folder / "solution.npz"}  # its folder may be gone
+    task, _ = saved_task(folder / "solution.checkpoint", limits={"bundles": 8}, **own)
     assert (task.product.chosen_solver, task.product.ambient, task.product.bounces) == ("jacobi", "fuzzy", 3)
     assert [path.name for path in task.product.outputs.files] == ["solution.npz"]
-    task, _ = saved_task(folder / "boxes.checkpoint", scene=folder / "hall.vtu", limits={"passes": 2})
+    task, _ = saved_task(folder / "boxes.checkpoint", limits={"passes": 2}, **own)
     assert (task.source.objects, task.source.groups) == ("thing", {"threshold": 2.0, "least": "4"})
 
 
