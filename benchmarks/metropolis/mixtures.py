@@ -13,7 +13,7 @@ import typer
 from numpy.typing import NDArray
 
 from etendue.core import Replica
-from etendue.methods.metropolis.chains import Runner
+from etendue.methods.metropolis.chains import Chains
 from etendue.methods.metropolis.mmlt import Mmlt
 from etendue.methods.metropolis.pssmlt import Pssmlt
 from etendue.methods.metropolis.states import PassResult, Progressed
@@ -51,13 +51,13 @@ class _MixedWalk(Walk):
         self.carried = replace(self.carried, size=size)
 
 
-class _Mixed(Runner):
+class _Mixed(Chains):
     """A runner of :class:`_MixedWalk`."""
 
     factors: tuple[float, ...] = (1.0,)
 
     def run(self, carried: Progressed, steps: int, seed: int, splats: Splats | None) -> tuple[Progressed, PassResult]:
-        """See :class:`Runner`."""
+        """See :class:`Chains`."""
         owed = carried.owed + carried.share * steps
         large = min(int(owed + 1e-9), steps)
         carried = replace(carried, owed=owed - large)

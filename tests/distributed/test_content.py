@@ -8,7 +8,7 @@ import os
 import pytest
 
 from etendue.core import ClusterError
-from etendue.distributed import Entry, Offered, Store, content as content_module
+from etendue.distributed import ContentFile, Offered, Store, content as content_module
 
 
 def send(offered, digest, store):
@@ -24,7 +24,7 @@ def test_a_file_arrives_whole_whatever_its_pieces(size, tmp_path, monkeypatch):
     offered, store = Offered(), Store(tmp_path / "store")
     entry = offered.add(original)
     assert store.find(entry) == original  # the same machine: nothing to send
-    elsewhere = Entry(entry.digest, entry.size, "/no/such/file")
+    elsewhere = ContentFile(entry.digest, entry.size, "/no/such/file")
     assert store.find(elsewhere) is None
     send(offered, entry.digest, store)
     assert store.find(elsewhere).read_bytes() == original.read_bytes()
@@ -54,7 +54,7 @@ def test_a_file_that_changes_on_its_way_is_refused(tmp_path):
     offered.contents[digest] = b"abd"
     with pytest.raises(ClusterError, match="changed while it was sent"):
         send(offered, digest, store)
-    assert store.find(Entry(digest, 3)) is None
+    assert store.find(ContentFile(digest, 3)) is None
 
 
 def test_a_full_disk_is_one_line_with_the_folder(tmp_path, monkeypatch):

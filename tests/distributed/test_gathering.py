@@ -6,7 +6,7 @@ import pytest
 from benchmarks.cluster.simulated import Site, simulate
 from support.workers import Powers, Simulated, run
 
-from etendue.distributed import Arrival, crew as crew_module
+from etendue.distributed import Arrival, dispatcher as dispatcher_module
 from etendue.distributed.gathering import Bundle, Gathering, held_by_others
 from etendue.distributed.worker import merge_outcomes
 
@@ -68,7 +68,7 @@ class Leaving(Simulated):
 
 
 def test_what_others_hold_of_a_lost_worker_is_not_made_again(monkeypatch):
-    monkeypatch.setattr(crew_module, "_LOOK", 0.0)
+    monkeypatch.setattr(dispatcher_module, "_LOOK", 0.0)
     pool = Leaving()
     made = run(pool, Powers(), 2)
     assert made.measurement.iterations.to_json() == [[0, 0, 2]]

@@ -8,7 +8,7 @@ import pytest
 from support.workers import Chain, Powers, Simulated, alone, run
 
 from etendue.core import ClusterError, SceneError
-from etendue.distributed import Arrival, Lost, crew as crew_module, spread as spread_module
+from etendue.distributed import Arrival, Lost, dispatcher as dispatcher_module, spread as spread_module
 from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Failed, Needs
 from etendue.engine import Replicated
@@ -16,7 +16,7 @@ from etendue.engine import Replicated
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch):
-    monkeypatch.setattr(crew_module, "_LOOK", 0.0)
+    monkeypatch.setattr(dispatcher_module, "_LOOK", 0.0)
     monkeypatch.setattr(spread_module, "_TICK", 0.0)
     monkeypatch.setattr(spread_module, "_SHORTEST", 1e-4)
 

@@ -13,7 +13,7 @@ from support.workers import InProcess, dask_workers
 import etendue
 from etendue.core import OptionError
 from etendue.distributed import Cluster, ProcessPool, rounds as rounds_module
-from etendue.distributed.talking import Talk
+from etendue.distributed.messages import PartMessages
 from etendue.distributed.worker import Failed, Needs, _Desk, _Run
 from etendue.engine import Job
 from etendue.products import run_job, saved_task
@@ -136,7 +136,7 @@ def test_parts_take_no_message_twice_and_none_of_another():
 
     def told(part, first, *words, iteration=0):
         messages = [{"do": word} for word in words]
-        return desk.make(Talk("run", "recipe", 0, iteration, part, first, messages, kept=2))
+        return desk.make(PartMessages("run", "recipe", 0, iteration, part, first, messages, kept=2))
 
     assert told(0, 0, "a").answer == {"heard": (0, "a")} and told(0, 0, "a").kept == 8
     assert told(1, 0, "x", "y").answer == {"heard": (0, "x", "y")}
@@ -216,7 +216,9 @@ def test_a_worker_that_dies_in_a_pass_changes_nothing(alone, losses, tmp_path):
     parts = solved(hall(), Cluster(pool))
     equal(parts, alone)
     assert pool.done > max(losses)
-    again = [task for task in pool.tasks if isinstance(task, Talk) and task.first == 0 and len(task.messages) > 1]
+    again = [
+        task for task in pool.tasks if isinstance(task, PartMessages) and task.first == 0 and len(task.messages) > 1
+    ]
     assert parts.correspondence.begun_anew == len(again) and (len(again) > 0) == (min(losses) > 7)
 
 
@@ -243,11 +245,11 @@ def test_workers_that_join_take_boxes_at_the_next_pass(alone, tmp_path):
                 self._join()
             return super().wait(seconds)
 
-    from etendue.distributed import crew
+    from etendue.distributed import dispatcher
 
     whole = solved(hall(), divide=False, passes=4)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crew, "_LOOK", 0.0)
+        patch.setattr(dispatcher, "_LOOK", 0.0)
         parts = solved(hall(), Cluster(Growing(tmp_path, 1)), passes=4)
     equal(parts, whole)
     assert len(parts.correspondence.workers) == 2 and parts.correspondence.begun_anew == 0

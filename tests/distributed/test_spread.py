@@ -18,7 +18,7 @@ from etendue.distributed import (
     Lost,
     Recipe,
     Spread,
-    crew as crew_module,
+    dispatcher as dispatcher_module,
     spread as spread_module,
     worker as worker_module,
 )
@@ -29,7 +29,7 @@ from etendue.engine import Budget, Order, Replicated, RunError, Runner
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch):
-    monkeypatch.setattr(crew_module, "_LOOK", 0.0)
+    monkeypatch.setattr(dispatcher_module, "_LOOK", 0.0)
     monkeypatch.setattr(spread_module, "_TICK", 0.0)
     monkeypatch.setattr(spread_module, "_SHORTEST", 1e-4)
 

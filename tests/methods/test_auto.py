@@ -13,12 +13,12 @@ from support.tables import thinned
 
 from etendue import scene
 from etendue.core import RELATIVE_EPSILON, CheckpointError
-from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe, method as auto
+from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, PassWork, describe, method as auto
 from etendue.methods.bidirectional import BidirectionalSettings
 from etendue.transport import TILE, Candidate
 
 PATH = FIXED["path"]
-WORK = Work(edges=3.0, smooth=2.0, photons=4.0, vertices=2.0)
+WORK = PassWork(edges=3.0, smooth=2.0, photons=4.0, vertices=2.0)
 
 
 def test_cost_grows_with_each_count():

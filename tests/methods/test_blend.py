@@ -11,7 +11,7 @@ from support.running import go, prepared
 
 from etendue.core import RELATIVE_EPSILON
 from etendue.methods.metropolis.blend import Blend, Grid, brightness, luminance
-from etendue.methods.metropolis.chains import Runner
+from etendue.methods.metropolis.chains import Chains
 from etendue.methods.metropolis.states import PassResult
 
 WIDTH, HEIGHT, FACTOR = 48, 24, 0.37
@@ -111,7 +111,7 @@ def test_no_light_of_the_independent_estimator_leaves_the_scale_to_the_large_ste
 @pytest.mark.parametrize("method", ["mmlt", "pssmlt", "film_metropolis"])
 def test_the_scale_is_not_that_of_the_large_steps(method, monkeypatch):
     """Chains that have been told a wrong mean of the target make the same picture, if none begins anew."""
-    monkeypatch.setattr(Runner, "renewed", lambda self, carried, *_: carried.states)
+    monkeypatch.setattr(Chains, "renewed", lambda self, carried, *_: carried.states)
     problem = scenes.room("rectangle", scenes.FEW)
     settings = {"samples_per_pass": 32, "bootstrap": 1 << 12}
     pictures = []

@@ -20,7 +20,7 @@ from etendue import methods
 from etendue.core import SceneError
 from etendue.engine import Budget, Job
 from etendue.integration import Layout, Slot
-from etendue.methods.metropolis.chains import Runner, bootstrap_within
+from etendue.methods.metropolis.chains import Chains, bootstrap_within
 from etendue.methods.metropolis.states import BrightnessMap
 from etendue.methods.metropolis.targets import CAP, Contribution, Traced, largest_target
 
@@ -101,7 +101,7 @@ def test_the_first_states_are_not_among_the_samples_that_tell_the_factors():
         return Traced([Contribution(16.0 * mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
 
     target = target_of(Layout([Slot(0, 2), Slot(2)], [], 0), trace)
-    runner = Runner(target, (16, 16), 1 << 12, 1 << 12, "independent", True)
+    runner = Chains(target, (16, 16), 1 << 12, 1 << 12, "independent", True)
     light, found = 1.0 + 9.0 * (np.arange(16) + 0.5) / 16.0, []
     for seed in range(40):
         start = runner.start(seed)
@@ -128,15 +128,15 @@ def heavy(lit: float = 1.0) -> Any:
     return target_of(Layout([Slot(0, 2)], [], 0), trace)
 
 
-def runner_of(target: Any, chains: int = 1 << 12, bootstrap: int = 1 << 14, **options: Any) -> Runner:
-    return Runner(target, (1, 1), chains, bootstrap, "independent", False, **options)
+def runner_of(target: Any, chains: int = 1 << 12, bootstrap: int = 1 << 14, **options: Any) -> Chains:
+    return Chains(target, (1, 1), chains, bootstrap, "independent", False, **options)
 
 
 @pytest.mark.parametrize("lit", [1.0, 0.02])
 def test_no_chain_stays_at_a_bright_path(lit, monkeypatch):
     """Chains at the brightest paths of a target with a heavy tail leave them as fast as is said, without those that
     begin anew."""
-    monkeypatch.setattr(Runner, "renewed", lambda self, carried, *_: carried.states)
+    monkeypatch.setattr(Chains, "renewed", lambda self, carried, *_: carried.states)
     scenes.camera()
     runner, steps = runner_of(heavy(lit)), 64
     start = runner.start(1)
@@ -269,14 +269,14 @@ def test_a_bootstrap_of_a_number_of_paths_has_no_more(equalise, monkeypatch):
 @pytest.mark.parametrize("method", ["pssmlt", "film_metropolis", "mmlt"])
 def test_the_bootstrap_of_a_small_budget_is_no_more_than_its_first_pass(method, monkeypatch):
     """Of a whole job: the method is not prepared for a larger pass first."""
-    started, start = [], Runner.start
+    started, start = [], Chains.start
 
-    def counted(runner: Runner, seed: int) -> Any:
+    def counted(runner: Chains, seed: int) -> Any:
         begun = start(runner, seed)
         started.append(2 * begun.large)
         return begun
 
-    monkeypatch.setattr(Runner, "start", counted)
+    monkeypatch.setattr(Chains, "start", counted)
     problem = scenes.room("rectangle", scenes.FEW, size=(32, 24))
     job = Job.open(rendering(problem.scene, methods.get(method), budget=Budget(samples=16), size=(32, 24)))
     assert job.method.samples_per_iteration == 16

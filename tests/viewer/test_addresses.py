@@ -11,7 +11,7 @@ from etendue.viewer.access.addresses import VARIABLE, given_address
 def opened(monkeypatch):
     """Opens viewers without a scene; they are closed at the end."""
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr("etendue.viewer.opening.Session.start", lambda session: None)
+    monkeypatch.setattr("etendue.viewer.opening.ViewerSession.start", lambda session: None)
     monkeypatch.setattr("etendue.viewer.opening._open", set())  # a session that has not started is not closed
     viewers = []
 

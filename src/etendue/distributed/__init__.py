@@ -1,7 +1,7 @@
 """Distributed: passes of a run in several processes, on this machine or on a cluster of Dask."""
 
 from .cluster import Cluster as Cluster, open_cluster as open_cluster, opened_cluster as opened_cluster
-from .content import Entry as Entry, Offered as Offered, Store as Store
+from .content import ContentFile as ContentFile, Offered as Offered, Store as Store
 from .dask import DaskPool as DaskPool
 from .divided import Divided as Divided, Traffic as Traffic
 from .pool import Arrival as Arrival, Lost as Lost, Pool as Pool

@@ -26,7 +26,7 @@ FOLDER_VARIABLE = "ETENDUE_CONTENT"
 
 
 @dataclass(frozen=True)
-class Entry:
+class ContentFile:
     """A file by content. ``origin``: where the client has it; a worker that finds the same content there needs no
     copy."""
 
@@ -58,13 +58,13 @@ class Offered:
 
     contents: dict[str, bytes | Path] = field(default_factory=dict)
 
-    def add(self, content: bytes | Path) -> Entry:
+    def add(self, content: bytes | Path) -> ContentFile:
         """Offer a file or bytes."""
         digest = digest_of(content)
         self.contents[digest] = content
         if isinstance(content, bytes):
-            return Entry(digest, len(content))
-        return Entry(digest, content.stat().st_size, str(content.absolute()))
+            return ContentFile(digest, len(content))
+        return ContentFile(digest, content.stat().st_size, str(content.absolute()))
 
     def size(self, digest: str) -> int:
         """Bytes of a file."""
@@ -107,7 +107,7 @@ class Store:
         if status.st_uid != os.getuid() or status.st_mode & 0o022:
             raise ClusterError(f"others may write to the folder '{self.folder}'; name one by {FOLDER_VARIABLE}")
 
-    def find(self, entry: Entry) -> Path | None:
+    def find(self, entry: ContentFile) -> Path | None:
         """A file of this content, ``None`` if it must be sent."""
         path = self.folder / entry.digest
         if path.is_file():

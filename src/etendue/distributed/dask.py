@@ -18,7 +18,7 @@ from etendue.core import ClusterError, EtendueError, OptionError, describe, libr
 from .content import Offered
 from .gathering import Bundle, Gathering, held_by_others
 from .pool import Arrival, Delivered, Lost
-from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive, unfit
+from .worker import Chunk, WorkerTask, end_run, introduce, make_passes, merge_outcomes, receive, unfit
 
 #: Seconds to wait for a scheduler, the first worker, further present workers, and an answer of a worker.
 _CONNECT, _FIRST_WORKER, _OTHERS, _ANSWER = "10s", 60.0, 5.0, 60.0
@@ -98,7 +98,7 @@ class DaskPool:
             logger.warning("worker %s is left out: %s", name, self._bad[name])
         return dict(self._known)
 
-    def send(self, worker: str, ticket: int, task: Task) -> None:
+    def send(self, worker: str, ticket: int, task: WorkerTask) -> None:
         """See :class:`Pool`."""
         future = self._client.submit(
             make_passes, task, key=f"etendue-{task.run}-{ticket}", workers=[worker], pure=False

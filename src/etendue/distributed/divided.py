@@ -14,10 +14,10 @@ from etendue.core import Measurement, Pass
 from etendue.engine import Order
 
 from .content import Offered
-from .crew import Crew
+from .dispatcher import Dispatcher
 from .pool import Pool
 from .recipe import Recipe
-from .worker import Carried, Errand
+from .worker import Carried, PathBatch
 
 #: Largest number of paths of a task.
 _BATCH = 1 << 16
@@ -66,7 +66,7 @@ class _Open:
     counters: dict[str, float] = field(default_factory=dict)
 
 
-class Divided(Crew[Errand]):
+class Divided(Dispatcher[PathBatch]):
     """Makes passes of light paths in a divided scene; implements ``engine.Executor``.
 
     recipes: of the method in each box, whose functions ``emit`` and ``carry`` return (product, records, counters).
@@ -98,9 +98,9 @@ class Divided(Crew[Errand]):
         self._begun = len(order.done)
         self._open: dict[int, _Open] = {}
         self._ready: list[int] = []
-        self._beginnings: list[Errand] = []  # tasks in which paths begin, for any box
+        self._beginnings: list[PathBatch] = []  # tasks in which paths begin, for any box
         #: Waiting tasks by box.
-        self._waiting: dict[int, list[Errand]] = {box: [] for box in range(len(recipes))}
+        self._waiting: dict[int, list[PathBatch]] = {box: [] for box in range(len(recipes))}
         #: Boxes that each worker holds, the last used box last.
         self._holds: dict[str, OrderedDict[int, None]] = {}
         self._box_of = {recipe.digest: box for box, recipe in enumerate(recipes)}
@@ -140,7 +140,7 @@ class Divided(Crew[Errand]):
     def _gone(self, name: str) -> None:
         self._holds.pop(name, None)
 
-    def _not_made(self, task: Errand) -> None:
+    def _not_made(self, task: PathBatch) -> None:
         if isinstance(task.paths, tuple):
             self._beginnings.append(task)
         else:
@@ -160,7 +160,7 @@ class Divided(Crew[Errand]):
 
     def _add(self, iteration: int, box: int, paths: Records | tuple[int, int]) -> None:
         self._open[iteration].tasks += 1
-        self._not_made(Errand(self._run, self._recipes[box].digest, self._order.seed, iteration, paths))
+        self._not_made(PathBatch(self._run, self._recipes[box].digest, self._order.seed, iteration, paths))
 
     def _feed(self) -> None:
         for level in range(_IN_FLIGHT):
@@ -206,7 +206,7 @@ class Divided(Crew[Errand]):
         held = self._held_by_others(name)
         return next((box for box in range(len(self._recipes)) if box not in held), None)
 
-    def _joined_tasks(self, queue: list[Errand]) -> Errand:
+    def _joined_tasks(self, queue: list[PathBatch]) -> PathBatch:
         """The first task of a queue, with the paths of others of the same pass, up to :data:`_BATCH` paths."""
         first = queue.pop(0)
         if isinstance(first.paths, tuple):
@@ -219,11 +219,11 @@ class Divided(Crew[Errand]):
             parts.append(task.paths)
             size += len(task.paths)
             self._open[first.iteration].tasks -= 1
-        return Errand(first.run, first.recipe, first.seed, first.iteration, np.concatenate(parts))
+        return PathBatch(first.run, first.recipe, first.seed, first.iteration, np.concatenate(parts))
 
     # ------------------------------------------------------------------ outcomes
 
-    def _carried(self, name: str, task: Errand, made: Any) -> None:
+    def _carried(self, name: str, task: PathBatch, made: Any) -> None:
         assert isinstance(made, Carried)
         leaving = made.leaving
         box = -1 if isinstance(task.paths, tuple) else self._box_of[task.recipe]
@@ -248,7 +248,7 @@ class Divided(Crew[Errand]):
         return Pass(self._gather(iteration, done.products, done.counters), self._order.state)
 
 
-def _size(task: Errand) -> int:
+def _size(task: PathBatch) -> int:
     return task.paths[1] if isinstance(task.paths, tuple) else len(task.paths)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from .content import Offered
-from .worker import Merged, Outcome, Task
+from .worker import Merged, Outcome, WorkerTask
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Pool(Protocol):
         worker has a new name. Raises :class:`ClusterError` if the cluster is gone."""
         ...
 
-    def send(self, worker: str, ticket: int, task: Task) -> None:
+    def send(self, worker: str, ticket: int, task: WorkerTask) -> None:
         """Send a task; its outcome arrives later, or :class:`Lost` does."""
         ...
 

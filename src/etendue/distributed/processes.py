@@ -18,7 +18,7 @@ from etendue.core import ClusterError, EtendueError, OptionError, describe, is_w
 
 from .content import Offered, Store
 from .pool import Arrival, Delivered, Lost
-from .worker import Task, ends_by, introduce, make_passes
+from .worker import WorkerTask, ends_by, introduce, make_passes
 
 #: Seconds to wait for the first answer of a process.
 _FIRST_ANSWER = 60.0
@@ -54,7 +54,7 @@ class ProcessPool:
         """See :class:`Pool`."""
         return dict.fromkeys(self._processes, self._threads)
 
-    def send(self, worker: str, ticket: int, task: Task) -> None:
+    def send(self, worker: str, ticket: int, task: WorkerTask) -> None:
         """See :class:`Pool`."""
         future: Future[Any] = Future()
         try:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from etendue.core import ClusterError, Ingredients, Method, prepared, use_variant
 from etendue.engine import versions
 
-from .content import Entry, Offered, Store
+from .content import ContentFile, Offered, Store
 
 #: Prefix of the arrays that are arguments of the method.
 _ARGUMENT = "argument/"
@@ -83,15 +83,15 @@ class OpenRecipe:
     def __init__(self, store: Store, digest: str) -> None:
         """Raises :class:`Lacking` if files are to be sent, :class:`ClusterError` if this worker cannot be used, and the
         errors of loading the scene."""
-        manifest = json.loads(_found(store, {"": Entry(digest, 0)})[""].read_bytes())
+        manifest = json.loads(_found(store, {"": ContentFile(digest, 0)})[""].read_bytes())
         self._manifest, self.digest = manifest, digest
         check_versions(manifest["versions"])
         use_variant(manifest["versions"]["variant"])
-        entries = {place: Entry(**entry) for place, entry in manifest["files"].items()}
+        entries = {place: ContentFile(**entry) for place, entry in manifest["files"].items()}
         files = _found(store, entries)
         self._arrays: dict[str, NDArray[Any]] = {}
         if manifest["arrays"] is not None:
-            path = _found(store, {"": Entry(**manifest["arrays"])})[""]
+            path = _found(store, {"": ContentFile(**manifest["arrays"])})[""]
             with np.load(path, allow_pickle=False) as archive:
                 self._arrays = {name: archive[name] for name in archive.files}
         ingredients = Ingredients(manifest["open"], manifest["values"], self._arrays, files)
@@ -126,7 +126,7 @@ def check_versions(wanted: Mapping[str, str]) -> None:
             raise ClusterError(f"it has {name} {here[name]}, the client {wanted[name]}; install the same versions")
 
 
-def _found(store: Store, entries: Mapping[str, Entry]) -> dict[str, Path]:
+def _found(store: Store, entries: Mapping[str, ContentFile]) -> dict[str, Path]:
     found = {place: store.find(entry) for place, entry in entries.items()}
     if lacking := sorted({entries[place].digest for place, path in found.items() if path is None}):
         raise Lacking(lacking)

@@ -10,10 +10,10 @@ from etendue.core import Measurement, OptionError, Pass, logger
 from etendue.engine import Order
 
 from .content import Offered
-from .crew import Crew
+from .dispatcher import Dispatcher
+from .messages import Message, PartMessages, Reply, nbytes
 from .pool import Pool
 from .recipe import Recipe
-from .talking import Message, Reply, Talk, nbytes
 
 _TICK = 0.1
 
@@ -75,7 +75,7 @@ class _Part:
     answer: Message | None = None  #: to the last message
 
 
-class Rounds(Crew[Talk]):
+class Rounds(Dispatcher[PartMessages]):
     """Makes passes of a method whose scene is divided: the client exchanges messages with each part, which is in a
     worker; implements ``engine.Executor``.
 
@@ -181,7 +181,7 @@ class Rounds(Crew[Talk]):
             if part.worker == name:
                 part.worker, part.known = None, 0
 
-    def _not_made(self, task: Talk) -> None:
+    def _not_made(self, task: PartMessages) -> None:
         # In any case the worker gets all messages of the pass, and begins the pass anew.
         part = self._parts[task.part]
         part.in_flight, part.known = False, 0
@@ -228,12 +228,14 @@ class Rounds(Crew[Talk]):
             shared.sent += sum(map(nbytes, messages))
             known: Any = {"kept": kept, "threads": worker.threads}
             order = self._order
-            task = Talk(self._run, part.recipe, order.seed, self._iteration, number, part.known, messages, **known)
+            task = PartMessages(
+                self._run, part.recipe, order.seed, self._iteration, number, part.known, messages, **known
+            )
             self._send(name, task)
 
     # ------------------------------------------------------------------ outcomes
 
-    def _answered(self, name: str, task: Talk, made: Any) -> None:
+    def _answered(self, name: str, task: PartMessages, made: Any) -> None:
         assert isinstance(made, Reply)
         part = self._parts[task.part]
         part.in_flight, part.answer = False, made.answer

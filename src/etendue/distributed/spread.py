@@ -11,7 +11,7 @@ import numpy as np
 from etendue.core import Measurement, Pass, State
 from etendue.engine import Order
 
-from .crew import Crew, Member
+from .dispatcher import Dispatcher, Member
 from .pool import Arrival, Lost, Pool
 from .recipe import Recipe
 from .schedules import OnDemand, Replicas, Schedule
@@ -31,7 +31,7 @@ _GRACE, _GRACE_TRANSFERS, _GRACE_PASSES, _GRACE_PASSES_IN_TIME = 1.0, 2.0, 3.0, 
 _TICK = 0.1
 
 
-class Spread(Crew[Chunk]):
+class Spread(Dispatcher[Chunk]):
     """Makes passes in worker processes; implements ``engine.Executor``.
 
     Independent passes are handed out in chunks of consecutive iterations, of such a length that the transfer of their

@@ -23,8 +23,8 @@ from etendue.core import Array, ClusterError, EtendueError, Measurement, Method,
 from etendue.engine import replica_seed
 
 from .content import Store
+from .messages import PartMessages, Reply, Talking
 from .recipe import Lacking, OpenRecipe
-from .talking import Reply, Talk, Talking
 
 #: Size in bytes from which on an array is sent in single precision, and the largest number that it may then contain.
 _LARGE, _LARGEST = 1 << 20, 1e30
@@ -58,7 +58,7 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class Errand:
+class PathBatch:
     """Paths of a pass that a worker carries through one box of a divided scene; ``recipe`` is that of the box."""
 
     run: str
@@ -73,12 +73,12 @@ class Errand:
 
 
 #: A task of a worker.
-Task = Chunk | Errand | Talk
+WorkerTask = Chunk | PathBatch | PartMessages
 
 
 @dataclass
 class Carried:
-    """The outcome of an errand: what was measured, and records of the paths that go on in other boxes."""
+    """The outcome of a batch: what was measured, and records of the paths that go on in other boxes."""
 
     product: NDArray[np.uint32]
     leaving: NDArray[np.uint32]
@@ -175,7 +175,7 @@ def widened(measurement: Measurement) -> Measurement:
     return copy
 
 
-def make_passes(task: Task) -> Outcome:
+def make_passes(task: WorkerTask) -> Outcome:
     """Do a task in this process."""
     return _desk().make(task)
 
@@ -266,7 +266,7 @@ class _Desk:
     def store() -> Store:
         return Store()
 
-    def make(self, task: Task) -> Outcome:
+    def make(self, task: WorkerTask) -> Outcome:
         if isinstance(task, Chunk) and task.left is not None:
             self.end(task.run, task.left)
         return self._thread.submit(self._make, task).result()
@@ -278,7 +278,7 @@ class _Desk:
             while len(self._ends) > 64:
                 self._ends.pop(next(iter(self._ends)))
 
-    def _make(self, task: Task) -> Outcome:
+    def _make(self, task: WorkerTask) -> Outcome:
         try:
             try:
                 run = self._run(task)
@@ -286,16 +286,16 @@ class _Desk:
                 return Needs(tuple(lacking.digests))
             except Exception as error:
                 return _failed(error, refused=True)
-            if isinstance(task, Talk):
+            if isinstance(task, PartMessages):
                 return self._talk(task, run)
             return self._passes(task, run) if isinstance(task, Chunk) else self._carry(task, run)
         except Exception as error:
             return _failed(error)
 
-    def _run(self, task: Task) -> _Run:
+    def _run(self, task: WorkerTask) -> _Run:
         set_threads(task.threads)
         name = task.run if isinstance(task, Chunk) else f"{task.run} {task.recipe}"
-        if isinstance(task, Talk):  # parts with the same recipe have a state each
+        if isinstance(task, PartMessages):  # parts with the same recipe have a state each
             name += f" {task.part}"
         if name in self._runs:
             self._runs.move_to_end(name)
@@ -306,7 +306,7 @@ class _Desk:
         self._runs[name] = run = _Run(same[0] if same else OpenRecipe(self.store(), task.recipe))
         return run
 
-    def _carry(self, task: Errand, run: _Run) -> Carried:
+    def _carry(self, task: PathBatch, run: _Run) -> Carried:
         begin, loaded = time.monotonic(), -1 not in run.methods
         if loaded:
             run.methods[-1] = run.opened.method(task.seed), 0, {}
@@ -317,7 +317,7 @@ class _Desk:
             product, leaving, counters = method.carry(task.iteration, task.seed, task.paths)
         return Carried(product, leaving, counters, time.monotonic() - begin, loaded)
 
-    def _talk(self, task: Talk, run: _Run) -> Reply | Needs:
+    def _talk(self, task: PartMessages, run: _Run) -> Reply | Needs:
         if loaded := run.part is None:
             method: Any = run.opened.method(task.seed)
             run.part = Talking(method)

@@ -131,7 +131,11 @@ from .problem import PatchProblem as PatchProblem
 from .solvers.absorption import check_absorption as check_absorption
 from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles
 from .solvers.multipath_passes import MultipathPasses as MultipathPasses, MultipathSettings as MultipathSettings
-from .solvers.particles import Particles as Particles, breadth_first as breadth_first, depth_first as depth_first
+from .solvers.particles import (
+    ParticleSolution as ParticleSolution,
+    breadth_first as breadth_first,
+    depth_first as depth_first,
+)
 from .solvers.shot import (
     FirstShot as FirstShot,
     first_shot as first_shot,

@@ -3,5 +3,5 @@
 from .opening import Viewer as Viewer
 from .panels import Panel as Panel
 from .refining import is_picture as is_picture
-from .session import Session as Session
+from .session import ViewerSession as ViewerSession
 from .states import Asked as Asked

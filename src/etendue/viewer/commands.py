@@ -26,7 +26,7 @@ from .refining import Still, checked
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from .session import Session
+    from .session import ViewerSession
 
 #: Message to the pages at the end.
 ENDED = "The session has ended; this page can be closed."
@@ -35,7 +35,7 @@ ENDED = "The session has ended; this page can be closed."
 _SIDES = 16, 4096
 
 
-def handle(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def handle(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     """Do what a message asks for. Raises :class:`OptionError` for an unknown or invalid message."""
     kind = message["type"]
     if kind not in COMMANDS:
@@ -52,7 +52,7 @@ def scene_name(source: Any) -> str:
     return "" if source is None else "a scene in memory"
 
 
-def _camera(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _camera(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     problem, pose = _scene(session)
     if message.get("reset"):
         assert session.home is not None
@@ -68,7 +68,7 @@ def _camera(session: Session, client: Client, message: Mapping[str, Any]) -> Non
     session.move(held_back(problem, pose, moved) if "orbit" in message and not pose.flat else moved)
 
 
-def _views(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _views(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     _, pose = _scene(session)
     views = session.views
     if message.get("save"):
@@ -85,7 +85,7 @@ def _views(session: Session, client: Client, message: Mapping[str, Any]) -> None
     session.changed()
 
 
-def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _pick(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     x, y = number(message, "x"), number(message, "y")
     _check_place(x, y)
     if isinstance(session.main, Still):
@@ -112,7 +112,7 @@ def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     client.send("picked", **found)
 
 
-def _render(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _render(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     asked = session.asked
     if isinstance(session.main, Still):
         _scene(session)
@@ -137,7 +137,7 @@ def _render(session: Session, client: Client, message: Mapping[str, Any]) -> Non
     session.changed()
 
 
-def _show(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _show(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     shown = session.show.changed(message)
     if "layer" in message and shown.layer not in {"image", *session.layers}:
         raise OptionError(f"there is no layer '{shown.layer}'; {suggest(shown.layer, session.layers)}")
@@ -146,7 +146,7 @@ def _show(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     session.changed()
 
 
-def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _compare(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     as_map = bool(message.get("map", session.compared.map if session.compared is not None else False))
     if message.get("reference"):
         name = text(message, "reference")
@@ -181,7 +181,7 @@ def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> No
         session.compare(None)
 
 
-def _fit(session: Session, problem: Problem, size: tuple[int, int]) -> None:
+def _fit(session: ViewerSession, problem: Problem, size: tuple[int, int]) -> None:
     """Give the picture a size. Raises :class:`OptionError` if it cannot have it."""
     if problem.size == size:
         return
@@ -196,7 +196,7 @@ def _fit(session: Session, problem: Problem, size: tuple[int, int]) -> None:
         )
 
 
-def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _open(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     name = text(message, "scene").strip()
     if not name:
         raise OptionError("give a scene file, the name of a bundled scene, or a picture")
@@ -205,18 +205,18 @@ def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     session.changed()
 
 
-def _save(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _save(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     path = saving.save(session, text(message, "what"), text(message, "name", ""), text(message, "times", ""))
     session.saved[path.name] = path
     client.send("saved", path=str(path), file=path.name)
 
 
-def _quit(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+def _quit(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     session.broadcast("note", text=ENDED)
     session.close(wait=False)
 
 
-COMMANDS: Final[dict[str, Callable[[Session, Client, Mapping[str, Any]], None]]] = {
+COMMANDS: Final[dict[str, Callable[[ViewerSession, Client, Mapping[str, Any]], None]]] = {
     "camera": _camera,
     "views": _views,
     "pick": _pick,
@@ -232,7 +232,7 @@ COMMANDS: Final[dict[str, Callable[[Session, Client, Mapping[str, Any]], None]]]
 # -- values of messages ----------------------------------------------------------------------------------------------
 
 
-def _scene(session: Session) -> tuple[Any, Any]:
+def _scene(session: ViewerSession) -> tuple[Any, Any]:
     """(problem, pose). Raises :class:`OptionError` if no scene is loaded."""
     if session.problem is None or session.pose is None:
         what = "this is a picture without a scene" if isinstance(session.main, Still) else "no scene is loaded"
@@ -260,7 +260,7 @@ def _seen_at(problem: Problem, pose: Pose, x: float, y: float) -> tuple[mi.Surfa
     return si, _triple(si.p) if bool(np.asarray(si.is_valid()).ravel()[0]) else None
 
 
-def _settings(session: Session, method: str, values: Any) -> dict[str, Any]:
+def _settings(session: ViewerSession, method: str, values: Any) -> dict[str, Any]:
     if not isinstance(values, Mapping):
         raise OptionError("settings are names with values")
     given = {str(name): value for name, value in values.items()}
@@ -294,7 +294,7 @@ def _index(value: Any, count: int) -> int:
     return int(value)
 
 
-def _radiance(session: Session, x: float, y: float) -> list[float] | None:
+def _radiance(session: ViewerSession, x: float, y: float) -> list[float] | None:
     """Radiance of the picture at a place; ``None`` before the first picture of this view."""
     if "image" not in session.layers or session.main is None or not session.main.passes:
         return None

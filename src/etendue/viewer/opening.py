@@ -16,7 +16,7 @@ from etendue.display import TevDisplay
 from .access.addresses import given_address, origins_of, reached
 from .cells import Cell, running_cell
 from .server import Server
-from .session import Session
+from .session import ViewerSession
 from .states import Asked
 
 #: All open viewers, also viewers without another reference: their threads go on. A process that ends in the middle of a
@@ -65,7 +65,7 @@ class Viewer:
         self._cell = running_cell()
         _close_earlier(self._cell)  # before the port is taken and the scene loaded
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
-        self._session = Session(asked)
+        self._session = ViewerSession(asked)
         self._server = Server(self._session, host, port, origins)  # before the scene is loaded, which may take long
         self._server.trusted.allow(origins_of(self._address, self._server.port))
         if self._second is not None and self._second.connect():

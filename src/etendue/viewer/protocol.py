@@ -27,11 +27,11 @@ Page to session:
 ``PANEL.verb``      for the panel of that name, see :class:`etendue.viewer.panels.Panel`
 ==================  ====================================================================================================
 
-Session to page:
+ViewerSession to page:
 
 ==================  ====================================================================================================
 ``about``           the available choices, and the panels' modules; the first message
-``state``           everything that the controls show, see ``Session.state``; sent to all pages after every change
+``state``           everything that the controls show, see ``ViewerSession.state``; sent to all pages after every change
 ``frame``           with data, an encoded picture: ``frame`` (number), ``side`` ("a", or "b" for the second picture),
                     ``width``, ``height``, ``format`` (MIME type), ``moving``
 ``camera``          the pose of a moving picture, as in the state

@@ -21,13 +21,13 @@ from etendue.scene import MOVABLE, BundledScene, graph, is_sensor, locate, scene
 from .refining import Refinement, Still
 
 if TYPE_CHECKING:
-    from .session import Session
+    from .session import ViewerSession
 
 #: Kinds of files, with the endings of their names.
 KINDS = {"picture": (".exr", ".png"), "scene": (".xml",), "run": (".toml",)}
 
 
-def save(session: Session, what: str, name: str, times: str = "") -> Path:
+def save(session: ViewerSession, what: str, name: str, times: str = "") -> Path:
     """Write a file and return its path. ``times``: seconds of the autosaves of a run file, as "20, 60".
 
     Raises :class:`OptionError` for such text and unless the name is that of a plain file with the right ending,
@@ -62,7 +62,7 @@ def _times(text: str) -> list[float]:
     return times
 
 
-def _spare_scene(session: Session, path: Path) -> None:
+def _spare_scene(session: ViewerSession, path: Path) -> None:
     """Raise :class:`OptionError` if ``path`` is the open scene or the open picture."""
     is_still = isinstance(session.main, Still)
     own = session.asked.scene if is_still else (_source(session.asked.scene) or {}).get("file")
@@ -71,7 +71,7 @@ def _spare_scene(session: Session, path: Path) -> None:
         raise OptionError(f"'{path.name}' is the {what} that is open, which is not written over; give another name")
 
 
-def _save_picture(session: Session, path: Path) -> None:
+def _save_picture(session: ViewerSession, path: Path) -> None:
     """EXR: all layers, linear, as rendered. PNG: as shown."""
     result = session.main.result() if session.main is not None else None
     if result is None:
@@ -89,7 +89,7 @@ def _save_picture(session: Session, path: Path) -> None:
         write_png(path, show.colours(result.layers, show.stops(result.image)))
 
 
-def _save_scene(session: Session, path: Path) -> None:
+def _save_scene(session: ViewerSession, path: Path) -> None:
     """The scene as XML: with the session's camera, its lights, the edits of panels, and the requested size. Meshes
     and pictures that the scene has in memory are written to a folder beside the file."""
 
@@ -103,7 +103,7 @@ def _save_scene(session: Session, path: Path) -> None:
     write_bytes(path, scene_xml(asked.scene, asked.parameters, change, asked.size, folder).encode())
 
 
-def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
+def _set_camera(session: ViewerSession, state: mi.parser.ParserState) -> None:
     assert session.problem is not None and session.pose is not None
     pose, problem = session.pose, session.problem
     matrix = pose.matrix()
@@ -121,7 +121,7 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
         props["fov"], props["fov_axis"] = float(pose.fov), "x"
 
 
-def _save_run(session: Session, path: Path, times: Sequence[float]) -> None:
+def _save_run(session: ViewerSession, path: Path, times: Sequence[float]) -> None:
     """A run file, which ends with the last of ``times`` if there are any. The scene is written beside it unless the
     scene's file and a camera table describe it completely."""
     assert session.problem is not None and session.pose is not None
@@ -140,7 +140,7 @@ def _save_run(session: Session, path: Path, times: Sequence[float]) -> None:
     write_bytes(path, run_text(session, tables, f"{path.stem}-run").encode())
 
 
-def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: str) -> str:
+def run_text(session: ViewerSession, tables: Mapping[str, Mapping[str, Any]], name: str) -> str:
     """The text of a run file that repeats the session's picture, in files called ``name``. ``tables``: those of the
     scene, its camera, and autosaves in place of the session's budget."""
     assert session.problem is not None
@@ -160,7 +160,7 @@ def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: st
     return "\n".join(lines) + "\n"
 
 
-def _run_camera(session: Session) -> dict[str, Any] | None:
+def _run_camera(session: ViewerSession) -> dict[str, Any] | None:
     """The table of a run file for the camera; ``None`` if a table cannot describe this camera."""
     assert session.problem is not None and session.pose is not None
     problem, pose = session.problem, session.pose
@@ -169,7 +169,7 @@ def _run_camera(session: Session) -> dict[str, Any] | None:
     return pose.plain(problem) | {"fov": pose.fov}
 
 
-def _samples(session: Session) -> int:
+def _samples(session: ViewerSession) -> int:
     """Samples per pixel of the picture; before the first pass, of the scene's file."""
     assert session.problem is not None
     main = session.main
@@ -191,7 +191,7 @@ def _source(scene: Any) -> dict[str, Any] | None:
     return {"bundled": found.name} if isinstance(found, BundledScene) else {"file": str(found.absolute())}
 
 
-def _is_edited(session: Session) -> bool:
+def _is_edited(session: ViewerSession) -> bool:
     return any(panel.is_edited() for panel in session.panels.values())
 
 

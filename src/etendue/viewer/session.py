@@ -46,7 +46,7 @@ _EVERY, _SHARE = 0.1, 0.15
 _THREAD = "etendue-viewer"
 
 
-class Session:
+class ViewerSession:
     """See the module. The public attributes belong to the session's thread; :meth:`join`, :meth:`leave`, :meth:`post`,
     :meth:`file`, :meth:`close`, :attr:`opened` and :attr:`ended` may be used from any thread."""
 

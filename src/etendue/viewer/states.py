@@ -21,7 +21,7 @@ from .refining import Refinement, Still, checked
 from .shown import choices, layer_names
 
 if TYPE_CHECKING:
-    from .session import Session
+    from .session import ViewerSession
 
 #: Pixels of the picture if no size is asked for.
 _PIXELS = 262_144
@@ -56,13 +56,13 @@ class Asked:
         return resized(problem, (max(1, round(width * factor)), max(1, round(height * factor))))
 
 
-def about(session: Session) -> dict[str, Any]:
+def about(session: ViewerSession) -> dict[str, Any]:
     """The available choices, and the panels' modules; constant."""
     scripts = {name: {"title": panel.title, "script": panel.script} for name, panel in session.panels.items()}
     return {"methods": method_list(), "folder": str(session.asked.folder), "scripts": scripts, **choices()}
 
 
-def state(session: Session) -> dict[str, Any]:
+def state(session: ViewerSession) -> dict[str, Any]:
     """Everything that the controls of a page show."""
     problem, pose, asked = session.problem, session.pose, session.asked
     still = session.main if isinstance(session.main, Still) else None
@@ -90,7 +90,7 @@ def state(session: Session) -> dict[str, Any]:
     }
 
 
-def _settings(session: Session) -> dict[str, Any]:
+def _settings(session: ViewerSession) -> dict[str, Any]:
     """All settings of the method on the scene, also before it is prepared; empty without a scene or on an error."""
     asked, problem = session.asked, session.problem
     if isinstance(session.main, Refinement):

@@ -1,6 +1,6 @@
 """Vertex connection and merging with sample counts that are chosen while it renders."""
 
-from .efficiency import Learned as Learned, Work as Work
+from .efficiency import Learned as Learned, PassWork as PassWork
 from .method import (
     CANDIDATES as CANDIDATES,
     FIXED as FIXED,

@@ -36,7 +36,7 @@ _OUTLIERS = 0.01
 
 
 @dataclass(frozen=True)
-class Work:
+class PassWork:
     """What a pass has done, per camera path or light path."""
 
     edges: float  #: of a camera path
@@ -64,7 +64,7 @@ class Learned:
     tiles: NDArray[np.float32]  #: (rows, columns, 2, candidates): moments, and means of camera paths, per camera path
     picture: NDArray[np.float32]  #: (height, width), means over the channels
     squares: NDArray[np.float32]  #: their squares
-    work: NDArray[np.float64]  #: fields of :class:`Work`
+    work: NDArray[np.float64]  #: fields of :class:`PassWork`
     generation: int = 0  #: of the densities of emission that the moments are of
 
     @classmethod
@@ -101,9 +101,9 @@ class Learned:
         least = 1e-3 * (moments / (np.square(level) + RELATIVE_EPSILON)[..., None]).mean(axis=(0, 1))
         return np.maximum(error, least)
 
-    def mean_work(self) -> Work:
+    def mean_work(self) -> PassWork:
         """Means over the passes."""
-        return Work(*(float(value) / max(1, self.passes) for value in self.work))
+        return PassWork(*(float(value) / max(1, self.passes) for value in self.work))
 
     def state(self) -> State:
         """As values of a method's state."""

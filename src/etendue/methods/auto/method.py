@@ -40,7 +40,7 @@ from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
 from ..bidirectional import BidirectionalSettings, Vcm
 from ..path import Path, Trace, camera_paths, path_pass, traced
-from .efficiency import LEARNING, PHOTON, Learned, Work, tile_pixels
+from .efficiency import LEARNING, PHOTON, Learned, PassWork, tile_pixels
 from .widening import Trial
 
 #: Counts of the passes that estimate moments.
@@ -188,7 +188,7 @@ class Auto(Carrying, ImageMethod):
         cost = self._work().cost(LEARNER) * LEARNING
         return self._spent_learning + cost <= _SHARE * self._spent
 
-    def _work(self) -> Work:
+    def _work(self) -> PassWork:
         return self._learned.mean_work()
 
     def _estimator(self) -> Vcm:

@@ -49,7 +49,7 @@ _WORD = 0xFFFFFFFF
 
 
 @dataclass
-class Runner:
+class Chains:
     """Starts and moves the chains of a target.
 
     Attributes
@@ -260,7 +260,7 @@ class Runner:
 
 
 def bootstrap_within(paths: int, equalise: bool) -> int:
-    """The largest :attr:`Runner.bootstrap` with which the bootstrap, together with what tells the factors by film
+    """The largest :attr:`Chains.bootstrap` with which the bootstrap, together with what tells the factors by film
     position, has no more than ``paths`` samples where enough of them find light; but two at least."""
     batches = paths // _BATCH
     if batches < 1 + equalise:

@@ -33,7 +33,7 @@ from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
 from ..path import Path
 from .blend import Beside, Blend, Grid
-from .chains import Runner, bootstrap_within
+from .chains import Chains, bootstrap_within
 from .states import BrightnessMap, ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
 from .walk import IMAGES
@@ -143,7 +143,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         chains = s.chains or min(most, max(paths // _STEPS, 1))
         chains += -chains % 4
         self._steps, self._chains = max(2, -(-paths // chains)), chains
-        self.runner = Runner(
+        self.runner = Chains(
             self.make_target(seed),
             (self.camera.width, self.camera.height),
             chains,

@@ -20,7 +20,7 @@ from .states import ChainStates, PassResult, Progressed, by_half
 from .targets import Contribution
 
 if TYPE_CHECKING:
-    from .chains import Runner
+    from .chains import Chains
 
 #: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
 CORRELATED = 0.25
@@ -35,7 +35,7 @@ IMAGES = 2 * _LARGE
 class Walk:
     """The chains during a pass."""
 
-    runner: Runner
+    runner: Chains
     carried: Progressed
     splats: Splats | None
     share: float

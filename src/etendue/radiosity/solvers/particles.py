@@ -20,7 +20,7 @@ _MOST_BOUNCES = 10_000
 
 
 @dataclass(frozen=True)
-class Particles:
+class ParticleSolution:
     """The result of particle tracing. ``radiosity``: (n, c). Power (c,): ``absorbed``, ``to_sky``, and ``unshot``, the
     power not followed further. ``rays``: number of rays."""
 
@@ -37,7 +37,7 @@ def depth_first(
     points: PointSet | None = None,
     seed: int = 0,
     leave: Literal["hit", "patch"] = "hit",
-) -> Particles:
+) -> ParticleSolution:
     """Follow particles, equal in power, from sources until they are absorbed [Castro 2002, sec. 2.3.3].
 
     At a hit a particle survives with the probability of being reflected, and continues by the cosine law from the hit
@@ -87,7 +87,7 @@ def depth_first(
 
 def breadth_first(
     scene: RayScene, rays: int, points: PointSet | None = None, tolerance: float = 1e-3, seed: int = 0
-) -> Particles:
+) -> ParticleSolution:
     """Send the unshot power of all patches, bounce by bounce, until it is the share ``tolerance`` of the emitted power
     [Castro 2002, sec. 2.3.3].
 
@@ -119,9 +119,9 @@ def _power(scene: RayScene) -> Array:
     return patches.areas[:, None] * patches.emission
 
 
-def _result(scene: RayScene, received: Array, unshot: Array, rays: int) -> Particles:
+def _result(scene: RayScene, received: Array, unshot: Array, rays: int) -> ParticleSolution:
     patches = scene.patches
     radiosity = patches.emission + patches.reflectance * received[:-2] / patches.divisors[:, None]
     # Arriving power that is not reflected; the reflected power of the last bounce is unshot.
     absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
-    return Particles(radiosity, absorbed, received[-2], unshot, rays)
+    return ParticleSolution(radiosity, absorbed, received[-2], unshot, rays)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..clients import Client
-    from ..session import Session
+    from ..session import ViewerSession
 
 #: The panels in the order of the side bar: module in this folder, class.
 PANELS: Final[tuple[tuple[str, str], ...]] = (
@@ -58,7 +58,7 @@ class Panel:
     title: ClassVar[str]  #: heading in the page
     script: ClassVar[str]  #: module in ``assets/panels``, such as ``rays.js``
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: ViewerSession) -> None:
         #: ``session.problem``: scene, sensor and size that are rendered, ``None`` without a scene; ``session.pose``;
         #: ``session.layers``: layers of the latest picture; ``session.again()``: start the picture anew after a change;
         #: ``session.broadcast(kind, payload, **fields)`` to all pages, ``client.send`` to one.
@@ -99,7 +99,7 @@ class Panel:
         """The session ends: release scenes and arrays."""
 
 
-def panels(session: Session) -> dict[str, Panel]:
+def panels(session: ViewerSession) -> dict[str, Panel]:
     """All panels of a session, by name."""
     made: list[Panel] = [getattr(import_module(f"{__name__}.{module}"), kind)(session) for module, kind in PANELS]
     return {panel.name: panel for panel in made}

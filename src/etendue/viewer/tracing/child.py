@@ -19,7 +19,7 @@ from etendue.scene import Problem
 
 from ..panels.parameters import Parameters
 from ..refining import Refinement
-from ..session import Session
+from ..session import ViewerSession
 from ..states import Asked
 from .desk import Desk, Send
 from .orders import Order, SceneCopy
@@ -100,7 +100,7 @@ class _Worker:
         use_variant(scene.variant)
 
         def load(asked: Asked, changes: Mapping[str, Any]) -> Problem:
-            session = Session(asked)
+            session = ViewerSession(asked)
             session.panels = {Parameters.name: Parameters(session, changes)}
             session.open(asked)
             assert session.problem is not None

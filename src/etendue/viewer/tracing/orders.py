@@ -19,7 +19,7 @@ from ..refining import Refinement
 from ..states import Asked
 
 if TYPE_CHECKING:
-    from ..session import Session
+    from ..session import ViewerSession
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SceneCopy:
     corners: tuple[Array, Array]  #: of the scene's box
 
     @classmethod
-    def of(cls, session: Session) -> SceneCopy:
+    def of(cls, session: ViewerSession) -> SceneCopy:
         """Raises :class:`SceneError` for a scene in memory that cannot be described."""
         assert session.problem is not None
         asked, scene = session.asked, session.asked.scene
@@ -75,7 +75,7 @@ class View:
     passes: int
 
     @classmethod
-    def of(cls, session: Session, run: int) -> View:
+    def of(cls, session: ViewerSession, run: int) -> View:
         """The picture as it is now."""
         assert session.pose is not None
         main, asked = session.main, _without_scene(session.asked)

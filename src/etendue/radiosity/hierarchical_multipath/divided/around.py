@@ -17,7 +17,7 @@ from .inside import Message, checked, make_inside
 from .units import Unit, units_of
 
 #: Yields a message to each unit, then ``None`` to wait for their answers; returns the measurement of a pass.
-Talk: TypeAlias = Generator[Sequence[Message] | None, Sequence[Message] | None, Measurement]
+PartMessages: TypeAlias = Generator[Sequence[Message] | None, Sequence[Message] | None, Measurement]
 
 
 class _Seen:
@@ -60,7 +60,7 @@ class DividedMultipath(HierarchicalMultipath):
         """A measure of the work and the memory of a unit: the number of its patches plus the number of its lines."""
         return unit.problem.root.total + sum(self.lines[part] for part in unit.part.distinct)
 
-    def talk(self, iteration: int) -> Talk:
+    def talk(self, iteration: int) -> PartMessages:
         """Make a pass. Raises :class:`RadiosityError` for answers of another shape."""
         options, tree, units, root = self._options, self.tree, self.units, self.root
         yield [{"do": "cast"}] * len(units)

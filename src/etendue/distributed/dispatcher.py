@@ -16,7 +16,7 @@ from etendue.core import ClusterError, EtendueError, logger
 
 from .content import Offered
 from .pool import Arrival, Delivered, Lost, Pool
-from .worker import Failed, Needs, Task
+from .worker import Failed, Needs, WorkerTask
 
 #: Seconds between looks at the list of workers, and until a cluster without workers is given up.
 _LOOK, _PATIENCE = 0.5, 60.0
@@ -27,7 +27,7 @@ _MOST_SENT = 4
 #: Tickets of all runs of this process: a pool outlives a run, whose outcomes may arrive during the next run.
 _TICKETS = itertools.count()
 
-T = TypeVar("T", bound=Task)
+T = TypeVar("T", bound=WorkerTask)
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Member:
     coming: dict[int, str] = field(default_factory=dict)  #: digests of files that are being sent, by ticket
 
 
-class Crew(ABC, Generic[T]):
+class Dispatcher(ABC, Generic[T]):
     """Sends tasks to workers and receives their outcomes. The tasks of a lost worker are given back to the subclass.
 
     offered: the files that workers may ask for."""

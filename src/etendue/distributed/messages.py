@@ -31,7 +31,7 @@ class Correspondent(Protocol):
 
 
 @dataclass(frozen=True)
-class Talk:
+class PartMessages:
     """Messages of a pass to one part of a scene; the answer to the last one is returned.
 
     ``first``: number of messages of the pass that the worker has answered before. With 0 it begins the pass anew, so
@@ -52,7 +52,7 @@ class Talk:
 
 @dataclass
 class Reply:
-    """The answer to the last message of a :class:`Talk`."""
+    """The answer to the last message of a :class:`PartMessages`."""
 
     answer: dict[str, Any]
     seconds: float
@@ -68,7 +68,7 @@ class Talking:
     iteration: int = -1
     answered: int = 0
 
-    def reply(self, task: Talk, loaded: bool) -> Reply | None:
+    def reply(self, task: PartMessages, loaded: bool) -> Reply | None:
         """``None`` if the part has not answered exactly the messages before ``task.first``: the client then begins the
         pass anew."""
         begin = time.monotonic()
