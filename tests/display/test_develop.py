@@ -1,10 +1,10 @@
 """Denoisers keep constants and edges, read layers by their names, and change nothing else; errors are one line."""
 
-import importlib.util
 import re
 
 import numpy as np
 import pytest
+from support.denoisers import needs
 
 from etendue import render
 from etendue.cli.main import main
@@ -36,11 +36,6 @@ def noisy(picture, deviation, seed=4):
 
 def rms(difference):
     return float(np.sqrt(np.mean(np.square(difference))))
-
-
-def installed(name):
-    if name == "oidn" and importlib.util.find_spec("mitsuba_oidn") is None:
-        pytest.skip("mitsuba-oidn is not installed")
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -159,7 +154,7 @@ def test_pixels_on_an_edge_of_the_features_do_not_keep_their_noise():
 @pytest.mark.parametrize("name", ["bilateral", "guided", "oidn"])
 def test_what_a_mirror_shows_stays(name):
     """Stripes of small contrast in a mirror, which has no features of its own."""
-    installed(name)
+    needs(name)
     stripes = constant(0.5, 0.5, 0.5)
     stripes[:, ::4] = stripes[:, 1::4] = 0.7
     image, variance = noisy(np.tile(stripes, (3, 3, 1)), 0.3)
@@ -383,7 +378,7 @@ def test_command_with_a_filter_for_each_component(tmp_path):
     ],
 )
 def test_what_does_not_suit_the_network_is_told(metadata, said, tmp_path, capsys):
-    installed("oidn")
+    needs("oidn")
     write_exr(tmp_path / "a.exr", Result({"image": constant(1, 1, 1)}, metadata))
     for denoise, told in (("oidn", said), ("image=oidn", said), ("bilateral", False)):
         assert main(["develop", str(tmp_path / "a.exr"), "--denoise", denoise]) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import lru_cache
 from typing import Any
 
@@ -10,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support import scenes
+from support.denoisers import needs
 from support.tables import thinned
 
 import etendue
@@ -21,12 +21,6 @@ from etendue.methods import get, table
 from etendue.scene import bundled_scene
 
 SIZE = (64, 64)
-
-
-def needs(name: str) -> None:
-    """Skip without the library of a denoiser."""
-    if name == "oidn" and importlib.util.find_spec("mitsuba_oidn") is None:
-        pytest.skip("mitsuba-oidn is not installed")
 
 
 def test_the_switch_turns_on_what_is_needed():
