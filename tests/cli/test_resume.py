@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,6 @@ import etendue
 from etendue import film
 from etendue.cli.main import main
 from etendue.core import CheckpointError, OptionError
-from etendue.engine import Checkpoint
 from etendue.particles import ParticleFile
 from etendue.products.particles import ParticleResult
 
@@ -161,60 +158,3 @@ def test_a_scene_that_has_moved_or_changed(capsys):
     mesh.write("moved.vtu")
     with pytest.raises(CheckpointError, match="the scene is not the one"):
         etendue.resume("a.checkpoint", bundles=32)
-
-
-#: Method and names of settings of version 1, and what its checkpoints said of a run.
-VERSION_1: dict[str, tuple[str, dict[str, str], dict[str, Any]]] = {
-    "lines": ("global-lines", {}, {"work": "form-factors", "estimator": "reciprocal"}),
-    "spheres": (
-        "hierarchical-lines",
-        {"point_set": "points", "objects_digest": "objects"},
-        {"work": "form-factors", "hierarchy": "thing"},
-    ),
-    "solution": (
-        "global-lines",
-        {},
-        {"work": "radiosity", "solver": "jacobi", "ambient": "fuzzy", "bounces": 3, "objects": None, "groups": {}},
-    ),
-    "multipath": (
-        "multipath",
-        {"point_set": "points", "shot": "shot_rays"},
-        {"work": "radiosity", "solver": "multipath", "ambient": None, "bounces": None, "objects": None, "groups": {}},
-    ),
-    "boxes": (
-        "hierarchical-multipath",
-        {"point_set": "points"},
-        {
-            "work": "radiosity-hierarchy",
-            "solver": None,
-            "objects": "thing",
-            "groups": {"threshold": "2", "least": "4"},
-            "hierarchy": {"grid": "2"},
-            "divide": False,
-        },
-    ),
-}
-
-
-@pytest.mark.parametrize("name", VERSION_1)
-def test_checkpoints_of_version_1_go_on(name, folder):
-    kind = KINDS[name]
-    assert kind.run(2 * kind.count, "whole") == 0 and kind.run(kind.count, "a") == 0
-    saved = Checkpoint.read("a.checkpoint")
-    method, names, known = VERSION_1[name]
-    settings = json.loads(saved.settings)
-    mesh = {"reflectance": 0.5, "emission": "glow", "temperature": None, "ids": None, "sky": None, "two_sided": False}
-    if known["work"] == "form-factors":
-        mesh, outputs = {"reflectance": None, "ids": None, "two_sided": False}, ["a.npz"]
-    else:
-        outputs = {"files": ["a.npz"], "size": None, "sensor": 0, "gather": 0, "samples": 16, "smooth": True}
-        outputs |= {"error_picture": False, "lightmap": None, "lightmap_size": 1024, "command": "", "uv": None}
-    if "thing" in known.values():
-        mesh["objects"] = "thing"
-    known = known | {"source": str(folder / "hall.vtu"), "parameters": {}, "max_area": None, "mesh": mesh, "seed": 3}
-    saved.method, saved.settings = method, json.dumps({names.get(key, key): x for key, x in settings.items()})
-    saved.scene, saved.notes = {}, {"lines": known | {"outputs": outputs, "shot": True, "lines": 0.0}}
-    saved.write("a.checkpoint")
-    Path("a.npz").unlink()
-    assert run(f"resume a.checkpoint --{kind.limit} {2 * kind.count}") == 0
-    same_arrays("a.npz", "whole.npz")

@@ -107,11 +107,6 @@ class SolutionProduct(PatchProduct[RadiosityResult]):
         self.outputs.check()
 
     @property
-    def is_instant(self) -> bool:
-        """Whether all light is ambient, so that no lines are cast."""
-        return self.ambient is not None and self.bounces is None
-
-    @property
     def chosen_solver(self) -> str:
         """The requested solver, or the default."""
         return self.solver or ("conjugate-gradient" if self.bounces is None else "jacobi")
