@@ -63,6 +63,12 @@ def variant() -> str:
     return name
 
 
+@pytest.fixture
+def compiled_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines are cast by the compiled loops, in passes of their size, under a variant for a GPU, too."""
+    monkeypatch.setattr("etendue.radiosity.lines.abuffer.uses_cuda", lambda: False)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _tidy_drjit(variant: str, request: pytest.FixtureRequest) -> Iterator[None]:
     """Give scenes, memory and kernels back after each file; kernels stay on disk, so nothing is compiled twice.

@@ -4,7 +4,6 @@
 any method without them.
 """
 
-from importlib import metadata as _metadata
 from typing import Any as _Any
 
 from . import (
@@ -41,11 +40,7 @@ from .verbs import (
     view as view,
 )
 
-try:
-    __version__ = _metadata.version("etendue")
-except _metadata.PackageNotFoundError:  # run from a source tree
-    __version__ = "unknown"
-
+__version__ = core.VERSION
 register = register_method
 plugins.register()  # in every Mitsuba variant that is set, now or later
 

@@ -179,7 +179,8 @@ def test_texels_of_every_format_are_read_as_the_texture_returns_them(number: str
     if number.startswith("uint"):
         stored *= np.iinfo(number).max
     for raw in (None, True, False):
-        texture = {"type": "bitmap", "bitmap": mi.Bitmap(stored.astype(number))} | ({} if raw is None else {"raw": raw})
+        texture = {"type": "bitmap", "bitmap": mi.Bitmap(stored.astype(number)), "accel": False}
+        texture |= {} if raw is None else {"raw": raw}
         (row,) = check_textures(mi.load_dict({"type": "diffuse", "reflectance": texture}))
         si = dr.zeros(mi.SurfaceInteraction3f, 4)
         si.uv = mi.Point2f([0.25, 0.75, 0.25, 0.75], [0.25, 0.25, 0.75, 0.75])  # the centres of the texels

@@ -88,7 +88,7 @@ def test_records_are_carried_on():
     first, last = (prepared(problem, "irradiance_cache", samples_per_pass=4) for _ in range(2))
     go(first, 2)
     last.restore(first.state())
-    np.testing.assert_array_equal(last.step(2, 1).mean(), whole.images[2])
+    np.testing.assert_allclose(last.step(2, 1).mean(), whole.images[2], rtol=1e-6)
     many = len(first.state()["records"])
     go(first, 1)
     assert many <= len(first.state()["records"]) < 2 * many  # later passes need few

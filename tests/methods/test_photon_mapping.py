@@ -168,7 +168,7 @@ def test_ppm_looks_at_the_same_points_in_each_pass():
 
 
 def test_ppm_has_several_points_in_a_pixel():
-    problem = scenes.field(0.5, 1.0, size=(400, 400))
+    problem = scenes.field(0.5, 1.0, size=(3000, 1500))  # a GPU has as many paths in a pass
     assert prepared(problem, "sppm").samples_per_iteration == 1
     assert prepared(problem, "ppm").samples_per_iteration == 4
     assert prepared(problem, "ppm", samples_per_pass=1).samples_per_iteration == 1

@@ -34,7 +34,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_run_of_version_1_goes_on_to_the_same(name, folder):
+def test_a_run_of_version_1_goes_on_to_the_same(name, folder, variant):
     limit, count, method, (setting, value) = RUNS[name]
     scene = folder / ("ball.xml" if name == "picture" else "hall.vtu")
     saved, file = folder / f"{name}.checkpoint", folder / ("a.exr" if name == "picture" else "a.npz")
@@ -47,7 +47,8 @@ def test_a_run_of_version_1_goes_on_to_the_same(name, folder):
     else:
         found = result.factors.matrix.toarray()
     with np.load(VERSION_1 / "expected.npz") as expected:
-        np.testing.assert_allclose(found, expected[name], rtol=1e-6, atol=1e-9)
+        rounding = 1e-6 if variant.startswith("llvm") else 1e-4  # a GPU's is not that of the CPU that wrote them
+        np.testing.assert_allclose(found, expected[name], rtol=rounding, atol=1e-9)
     written = Checkpoint.read(saved)  # by this version, which goes on with it by itself
     assert written.method == method and "lines" not in written.notes
     assert written.settings_of(etendue.products.find(method)).to_dict()[setting] == value

@@ -30,6 +30,8 @@ from etendue.radiosity import (
 )
 from etendue.radiosity.solvers.shot import Shot
 
+pytestmark = pytest.mark.usefixtures("compiled_lines")
+
 
 def lit_room(**properties):
     """With a small lamp, and a pebble that few lines meet."""

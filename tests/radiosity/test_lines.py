@@ -248,6 +248,7 @@ def test_what_cannot_be_cast():
         segments + ABuffer(cube(2)).cast(1)
 
 
+@pytest.mark.usefixtures("compiled_lines")
 def test_without_numba_there_are_rays(monkeypatch):
     """The loops for the CPU need it; what is said tells how to get it."""
     monkeypatch.setitem(sys.modules, "numba", None)

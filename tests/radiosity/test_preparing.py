@@ -38,6 +38,7 @@ def test_each_scene_of_parts_has_lines_of_its_own_number(given, sizes):
         assert method.samples_per_iteration == method.settings.lines == size
 
 
+@pytest.mark.usefixtures("compiled_lines")
 @pytest.mark.parametrize("replicates", [1, 2])
 def test_bundles_that_a_pass_left_out_are_of_no_other_replicate(replicates):
     """Pass 2 has four bundles of eight, pass 3 casts four more: with one sequence those of pass 2, with two others,

@@ -94,7 +94,7 @@ def test_form_factors_do_not_depend_on_the_backend():
     radiosity = np.exp(patches.centres)
     irradiance = [ABuffer(patches, OwenSobol(4), 4000, b).cast(64).gather(radiosity) for b in ("drjit", "compiled")]
     np.testing.assert_allclose(*irradiance, rtol=1e-3)
-    assert np.mean(irradiance[0] != irradiance[1]) < 0.01
+    assert np.mean(~np.isclose(*irradiance, rtol=1e-12)) < 0.01
 
 
 def test_no_line_passes_through_a_closed_mesh():
@@ -189,4 +189,4 @@ print(len(ours), np.abs(ours.counted - theirs.counted).sum())
 print(np.abs(solve(patches, ours).radiosity / solve(patches, theirs).radiosity - 1).max())
 """
     total, differing, error = map(float, run(code))
-    assert total > 200_000 and differing <= 1e-4 * total and error < 1e-3
+    assert total > 100_000 and differing <= 1e-4 * total and error < 1e-3

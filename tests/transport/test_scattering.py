@@ -103,10 +103,12 @@ def test_fresnel_in_real_and_complex_arithmetic_and_on_the_device(index):
     else:
         found, inside, forth, back = (np.array(v) for v in mi.fresnel(cosine, mi.Float(index)))
         np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-5)
-        assert (found[np.array(cosine) < np.sqrt(max(0.0, 1 - index**2)) - 1e-3] == 1.0).all()
+        total = np.array(cosine) < np.sqrt(max(0.0, 1 - index**2)) - 1e-3
+        np.testing.assert_allclose(found[total], 1.0, rtol=1e-6)
         np.testing.assert_allclose([forth, back], [np.full(200, index), np.full(200, 1 / index)], rtol=1e-6)
-        sine = np.sqrt(1 - np.array(cosine, dtype=float) ** 2)[found < 1.0]
-        np.testing.assert_allclose(np.abs(inside[found < 1.0]), np.sqrt(1 - (sine / index) ** 2), atol=1e-4)
+        partly = exact < 1.0 - 1e-6
+        sine = np.sqrt(1 - np.array(cosine, dtype=float) ** 2)[partly]
+        np.testing.assert_allclose(np.abs(inside[partly]), np.sqrt(1 - (sine / index) ** 2), atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from etendue.core import EtendueError, OptionError, describe, logger
+from etendue.core import VERSION, EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import (
@@ -114,8 +114,8 @@ def _show_version(wanted: bool) -> None:
     if wanted:
         from importlib import metadata
 
-        names = ("etendue", "mitsuba", "drjit")
-        say(", ".join(f"{name} {metadata.version(name)}" for name in names))
+        others = (f"{name} {metadata.version(name)}" for name in ("mitsuba", "drjit"))
+        say(", ".join([f"etendue {VERSION}", *others]))
         raise typer.Exit
 
 

@@ -73,3 +73,4 @@ from .settings import (
     is_whole as is_whole,
     setting as setting,
 )
+from .version import VERSION as VERSION

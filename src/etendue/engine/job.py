@@ -8,10 +8,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import metadata
 from typing import Any, Protocol
 
 from etendue.core import (
+    VERSION,
     CheckpointError,
     EtendueError,
     Ingredients,
@@ -198,11 +198,7 @@ def versions() -> dict[str, str]:
     import drjit as dr
     import mitsuba as mi
 
-    try:
-        own = metadata.version("etendue")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        own = "unknown"
-    return {"etendue": own, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant() or ""}
+    return {"etendue": VERSION, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant() or ""}
 
 
 def remaining(checkpoint: Checkpoint) -> Budget:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import json
 import os
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OutputError, Result, SceneError
+from etendue.core import VERSION, OutputError, Result, SceneError
 
 from .cryptomatte import ATTRIBUTES
 from .output import replacing
@@ -55,7 +54,7 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "software": f"etendue {_own_version()}".strip(),
+        "software": f"etendue {VERSION}",
     }
     for key, value in result.metadata.items():
         header |= {key: value} if key.startswith(ATTRIBUTES) else {_PREFIX + key: _encode(value)}
@@ -185,13 +184,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     return str(value)
-
-
-def _own_version() -> str:
-    try:
-        return version("etendue")
-    except PackageNotFoundError:
-        return ""
 
 
 def _check_readable(path: str | os.PathLike[str]) -> None:

@@ -8,11 +8,10 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from etendue.core import EtendueError, OptionError, OutputError, checked_path, describe
+from etendue.core import VERSION, EtendueError, OptionError, OutputError, checked_path, describe
 from etendue.film import check_writable
 
 PathLike = str | os.PathLike[str]
@@ -38,7 +37,7 @@ def check_files(paths: Iterable[Path]) -> None:
 
 def about(source: str, **more: Any) -> dict[str, Any]:
     """Metadata of files: the software, the source, and ``more`` as plain values."""
-    known = {"software": f"etendue {metadata.version('etendue')}", "source": source, **more}
+    known = {"software": f"etendue {VERSION}", "source": source, **more}
     plain: dict[str, Any] = json.loads(json.dumps(known, default=_plain))
     return plain
 

@@ -46,7 +46,7 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     ray = mi.Ray3f(mi.Point3f(x, y, z), mi.Vector3f(dx, dy, dz), most, 0.0, mi.Color0f())
     hit = scene.ray_intersect_preliminary(ray)
     met, instance = (dr.reinterpret_array(mi.UInt32, s) for s in (hit.shape, hit.instance))
-    met = dr.select(met == 0, instance, met)  # the shape within an instance is not known
+    met = dr.select(instance != 0, instance, met)  # an instance hides as a whole
     numbers = np.asarray(met).reshape(len(place), -1)
     if not numbers.any():
         return []
