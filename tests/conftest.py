@@ -66,7 +66,8 @@ def variant() -> str:
 @pytest.fixture
 def compiled_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines are cast by the compiled loops, in passes of their size, under a variant for a GPU, too."""
-    monkeypatch.setattr("etendue.radiosity.lines.abuffer.uses_cuda", lambda: False)
+    for module in ("abuffer", "segments"):
+        monkeypatch.setattr(f"etendue.radiosity.lines.{module}.uses_cuda", lambda: False)
 
 
 @pytest.fixture(scope="module", autouse=True)

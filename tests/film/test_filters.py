@@ -129,7 +129,7 @@ def in_cells(mi, grid, x, y, value):
     packets = np.zeros((grid.count, 4))
     for channel, values in enumerate(value.T):
         packets[:, channel] = np.bincount(cell, weights=values, minlength=grid.count)
-    return grid.pixels(mi.Float(packets.ravel().astype(np.float32))).numpy().reshape(-1, 4)
+    return grid.pixels(mi.Float(packets.ravel().astype(np.float32))).numpy().T
 
 
 SOFT = ["gaussian", "mitchell", "catmullrom", "lanczos", "wide"]

@@ -106,12 +106,12 @@ def test_engines_with_other_pieces(monkeypatch):
     """Dr.Jit's kernels take more bundles at once: passes are larger, and make the same lines."""
     monkeypatch.setattr(etendue.radiosity.casting, "ABuffer", partial(ABuffer, backend="drjit"))
     casting = Casting(cube(1), most=200)
-    assert casting.method.samples_per_iteration == casting.method.settings.bundles_per_pass == 64
+    assert casting.method.samples_per_iteration == casting.method.settings.bundles_per_pass == 13
     result = casting.run(samples=200)
-    assert result.passes == 4 and casting.lines.count == 200
+    assert result.passes == 16 and casting.lines.count == 200
     loops = ABuffer(cube(1), SpiralPoints(3), 200).cast(200)
     segments = casting.lines.segments()
-    assert abs(len(segments) - len(loops)) <= 3 and len(segments.chunks) == 4
+    assert abs(len(segments) - len(loops)) <= 3 and len(segments.chunks) == 16
 
 
 def outcome(casting):

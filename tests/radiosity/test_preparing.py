@@ -30,6 +30,16 @@ def test_each_scene_has_passes_of_its_own_size(monkeypatch, given, sizes):
         method.close()
 
 
+@pytest.mark.parametrize(("most", "size"), [(None, 64), (5000, 64), (40, 3)])
+def test_few_bundles_are_passes_enough_for_an_error(monkeypatch, most, size):
+    """On a GPU, which casts hundreds of a small scene at once."""
+    monkeypatch.setattr("etendue.radiosity.lines.abuffer.uses_cuda", lambda: True)
+    method = LineCasting(CastingSettings(lines=200), most=most)
+    method.prepare(PatchProblem(cube(1)), 3)
+    assert method.samples_per_iteration == size
+    method.close()
+
+
 @pytest.mark.parametrize(("given", "sizes"), [(0, (16 * 2400, 1 << 14)), (5000, (5000, 5000))])
 def test_each_scene_of_parts_has_lines_of_its_own_number(given, sizes):
     method = HierarchicalMultipath(HierarchicalMultipathSettings(lines=given))

@@ -33,6 +33,7 @@ from .measurement import (
     Array as Array,
     Iterations as Iterations,
     Measurement as Measurement,
+    SquaresOf as SquaresOf,
     warn_of_nonfinite as warn_of_nonfinite,
 )
 from .memory import free_memory as free_memory

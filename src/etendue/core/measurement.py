@@ -9,8 +9,9 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,14 @@ from .errors import EtendueError
 from .log import logger
 from .records import Record
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 #: Ending of the name of a sum that is the difference of two independent halves of another one.
 CONTRAST = " contrast"
 #: Added to the squared reference in every relative error of the project (see :func:`Measurement.relative_error`).
 RELATIVE_EPSILON = 0.01
+#: Numbers that are squared at a time, so that they stay in the cache.
+_BLOCK = 1 << 14
 
 
 class Iterations:
@@ -108,14 +111,38 @@ class Iterations:
         return result
 
 
+class SquaresOf(Mapping[str, Array]):
+    """The squares of the sums of one pass, made when they are asked for: to add them to others, no array is needed."""
+
+    def __init__(self, sums: Mapping[str, Array], names: Iterable[str]) -> None:
+        self._sums = {name: sums[name] for name in names}
+
+    def __getitem__(self, name: str) -> Array:
+        return np.square(self._sums[name], dtype=np.float64)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._sums)
+
+    def __len__(self) -> int:
+        return len(self._sums)
+
+    def add_to(self, total: Array, name: str) -> None:
+        """Add those of ``name`` in place."""
+        added, values = total.reshape(-1), self._sums[name].reshape(-1)
+        for first in range(0, len(values), _BLOCK):
+            part = values[first : first + _BLOCK].astype(np.float64)
+            part *= part
+            added[first : first + _BLOCK] += part
+
+
 @dataclass
 class Measurement:
     """Named sums of one or more passes.
 
-    ``sums[name]`` is a host float64 array of any shape (an image layer: height, width, channels), and ``develop``
-    divides it by ``weights[name]``. ``squares[name]``, of the same shape, is the sum over passes of the squared sum of
-    a pass, for quantities whose error is estimated. ``counters`` are totals (rays, paths, non-finite contributions,
-    seconds).
+    ``sums[name]`` is a host array of any shape (an image layer: height, width, channels), float64, or float32 for one
+    pass, and ``develop`` divides it by ``weights[name]``. ``squares[name]``, of the same shape, float64, is the sum
+    over passes of the squared sum of a pass, for quantities whose error is estimated. ``counters`` are totals (rays,
+    paths, non-finite contributions, seconds).
 
     The other terms of the error are computed here: ``squared_weights[name]``, the sum over passes of the squared
     weight, and, if passes have different weights, ``products[name]``, the sum over passes of weight times sum.
@@ -129,7 +156,7 @@ class Measurement:
     sums: dict[str, Array]
     weights: dict[str, float]
     iterations: Iterations
-    squares: dict[str, Array] = field(default_factory=dict)
+    squares: Mapping[str, Array] = field(default_factory=dict)
     counters: dict[str, float] = field(default_factory=dict)
     squared_weights: dict[str, float] = field(default_factory=dict)
     products: dict[str, Array] = field(default_factory=dict)
@@ -141,6 +168,7 @@ class Measurement:
 
     def scale(self, factor: float) -> None:
         """Multiply the weight of the passes by ``factor``; their mean and its error do not change."""
+        self._widen()
         for name, values in self.sums.items():
             values *= factor
             self.weights[name] *= factor
@@ -159,7 +187,7 @@ class Measurement:
 
     def mean(self, name: str = "image") -> Array:
         """``sums[name] / weights[name]``."""
-        return self.sums[name] / self.weights[name]
+        return np.divide(self.sums[name], self.weights[name], dtype=np.float64)
 
     def __iadd__(self, other: Measurement) -> Measurement:
         iterations = self.iterations.union(other.iterations)  # raises before anything changes
@@ -167,6 +195,7 @@ class Measurement:
             raise EtendueError("measurements with different layers cannot be added; use the same settings for both")
         for name, record in other.records.items():
             self.records[name].check(record)
+        self._widen()
         for name in other.squares:
             if {name} & (self.products.keys() | other.products.keys()) or not self._weighs_like(other, name):
                 self.products[name] = self._product(name) + other._product(name)
@@ -174,14 +203,26 @@ class Measurement:
         for name, value in other.sums.items():
             self.sums[name] += value
             self.weights[name] += other.weights[name]
-        for name, value in other.squares.items():
-            self.squares[name] += value
+        for name in other.squares:
+            total = self.squares[name]
+            if isinstance(other.squares, SquaresOf):
+                other.squares.add_to(total, name)
+            else:
+                total += other.squares[name]
         for name, count in other.counters.items():
             self.counters[name] = self.counters.get(name, 0.0) + count
         for name, record in other.records.items():
             self.records[name] += record
         self.iterations = iterations
         return self
+
+    def _widen(self) -> None:
+        """Make the arrays such that others can be added to them."""
+        if isinstance(self.squares, SquaresOf):
+            self.squares = dict(self.squares)
+        for name, values in self.sums.items():
+            if values.dtype != np.float64:
+                self.sums[name] = values.astype(np.float64)
 
     def _weighs_like(self, other: Measurement, name: str) -> bool:
         """Whether the passes of both have the same weight, given that those of each measurement have."""
@@ -192,11 +233,12 @@ class Measurement:
         """Sum over passes of weight times sum."""
         if name in self.products:
             return self.products[name]
-        return self.squared_weights[name] / self.weights[name] * self.sums[name]
+        factor = self.squared_weights[name] / self.weights[name]
+        return np.multiply(self.sums[name], factor, dtype=np.float64)
 
     def _shapes(self) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]], set[str]]:
-        sums, squares = ({k: v.shape for k, v in table.items()} for table in (self.sums, self.squares))
-        return sums, squares, set(self.records)
+        shapes = {name: values.shape for name, values in self.sums.items()}
+        return shapes, {name: shapes[name] for name in self.squares}, set(self.records)
 
     def __add__(self, other: Measurement) -> Measurement:
         result = self.copy()
@@ -204,15 +246,15 @@ class Measurement:
         return result
 
     def copy(self) -> Measurement:
-        """A copy of everything but the rows of records, which are never modified."""
+        """A copy, in double precision, of everything but the rows of records, which are never modified."""
         return Measurement(
-            sums={k: v.copy() for k, v in self.sums.items()},
+            sums={k: v.astype(np.float64) for k, v in self.sums.items()},
             weights=dict(self.weights),
             iterations=Iterations(self.iterations._intervals),
-            squares={k: v.copy() for k, v in self.squares.items()},
+            squares={k: v.astype(np.float64) for k, v in self.squares.items()},
             counters=dict(self.counters),
             squared_weights=dict(self.squared_weights),
-            products={k: v.copy() for k, v in self.products.items()},
+            products={k: v.astype(np.float64) for k, v in self.products.items()},
             records={k: v.copy() for k, v in self.records.items()},
         )
 

@@ -15,7 +15,7 @@ from .dispatcher import Dispatcher, Member
 from .pool import Arrival, Lost, Pool
 from .recipe import Recipe
 from .schedules import OnDemand, Replicas, Schedule
-from .worker import Chunk, Made, Merged, widened
+from .worker import Chunk, Made, Merged
 
 #: Seconds of a chunk: at least, and at most.
 _SHORTEST, _LONGEST = 1.0, 60.0
@@ -257,4 +257,4 @@ def _writable(measurement: Measurement) -> Measurement:
     arrays = [array for table in tables for array in table.values()]
     if all(array.flags.writeable and array.dtype == np.float64 for array in arrays):
         return measurement
-    return widened(measurement)
+    return measurement.copy()

@@ -141,7 +141,7 @@ def merge_outcomes(*outcomes: Outcome | Merged) -> Merged:
             result.outcomes.append(outcome)
             continue
         if more is not None:
-            result.total = widened(more) if result.total is None else _sum(result.total, more)
+            result.total = more.copy() if result.total is None else _sum(result.total, more)
     if result.total is not None:
         result.total = narrowed(result.total)
     return result
@@ -164,15 +164,6 @@ def narrowed(measurement: Measurement) -> Measurement:
         for name in ("sums", "squares", "products")
     }
     return replace(measurement, **tables)
-
-
-def widened(measurement: Measurement) -> Measurement:
-    """A copy in double precision."""
-    copy = measurement.copy()
-    for table in (copy.sums, copy.squares, copy.products):
-        for name, array in table.items():
-            table[name] = np.asarray(array, np.float64)
-    return copy
 
 
 def make_passes(task: WorkerTask) -> Outcome:

@@ -77,9 +77,9 @@ class CellGrid:
         """Index of the cell of a position on the film, in pixels."""
         return self._down.cell(y) * dr.opaque(mi.UInt32, self._across.count) + self._across.cell(x)
 
-    def pixels(self, packets: mi.Float) -> mi.Float:
-        """The pixels, a packet of four floats each, of the cells ``packets`` of one picture or of several in turn.
-        Evaluates ``packets``."""
+    def pixels(self, packets: mi.Float) -> mi.Vector4f:
+        """The pixels of the cells ``packets`` of one picture or of several in turn, one lane each. Evaluates
+        ``packets``."""
         dr.eval(packets)
         width, height = (dr.opaque(mi.UInt32, n) for n in self._size)
         lines = dr.width(packets) // (4 * self._across.count)
@@ -93,4 +93,4 @@ class CellGrid:
         line = lane // width
         picture = line // height
         first = picture * dr.opaque(mi.UInt32, self._down.count) * width + (lane - line * width)
-        return dr.ravel(self._down.convolve(rows, first, width, line - picture * height))
+        return self._down.convolve(rows, first, width, line - picture * height)

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import drjit as dr
@@ -232,10 +233,14 @@ class _Axis:
             row[end - self.candidates : end] = weights
         return on_device(mi.Float, dense.ravel()), offsets
 
-    def by_border(self) -> NDArray[np.int64]:
-        """For each pixel of the axis a pixel with the same weights: itself near the border, else the middle pixel."""
+    @cached_property
+    def by_border(self) -> tuple[NDArray[np.int64], mi.UInt32]:
+        """(pixels of the axis with different weights: those near the border, and the middle one for all others; which
+        of them each pixel is, on the device)."""
         pixel, middle = np.arange(self.size), self.size // 2
-        return np.where(np.minimum(pixel, self.size - 1 - pixel) > math.ceil(self.reach), middle, pixel)
+        alike = np.where(np.minimum(pixel, self.size - 1 - pixel) > math.ceil(self.reach), middle, pixel)
+        pixels, which = np.unique(alike, return_inverse=True)
+        return pixels, copied_to_device(mi.UInt32, which.astype(np.uint32))
 
     def reached(self, spread: Spread, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Sum of the filter over the samples on the film within the radius, for each sample number and each of
@@ -310,7 +315,7 @@ class PixelFilter:
         y = pixel // width
         x = pixel - y * width
         dr.eval(values)
-        inverse = self._inverse_reached(across, down)
+        inverse = self._inverse_reached(across, down, x, y)
         if samples == 1:  # a third of the memory
             rows = [self._x.convolve(layer, across, x, 1) for layer in values]
             dr.eval(rows)
@@ -320,15 +325,15 @@ class PixelFilter:
         dr.eval(results)
         return results
 
-    def _inverse_reached(self, across: Spread, down: Spread) -> mi.Float:
+    def _inverse_reached(self, across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> mi.Float:
         """1 over the mean filter weight of the samples that reach each pixel; 1 away from the border."""
         # Pixels away from the border have equal weights, so that few rows and columns have to be multiplied. Not by
         # BLAS, whose threads would compete with the threads of Dr.Jit and take longer than everything else.
-        columns, column = np.unique(self._x.by_border(), return_inverse=True)
-        rows, row = np.unique(self._y.by_border(), return_inverse=True)
+        (columns, column), (rows, row) = self._x.by_border, self._y.by_border
         reached = np.einsum("si,sj->ij", self._y.reached(down, rows), self._x.reached(across, columns))
-        inverse = np.float32(dr.width(across.last)) / reached
-        return copied_to_device(mi.Float, inverse[np.ix_(row, column)].ravel())
+        inverse = copied_to_device(mi.Float, (np.float32(dr.width(across.last)) / reached).ravel())
+        place = dr.gather(mi.UInt32, row, y) * dr.opaque(mi.UInt32, len(columns)) + dr.gather(mi.UInt32, column, x)
+        return dr.gather(mi.Float, inverse, place)
 
     def _by_neighbour(self, values: list[V], across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> list[V]:
         """Sums over several samples a pixel, of all layers in one kernel: the samples of a pixel are first added along

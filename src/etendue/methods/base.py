@@ -25,6 +25,7 @@ from etendue.core import (
     Result,
     SampleSource,
     Settings,
+    SquaresOf,
     State,
     free_memory,
     setting,
@@ -64,9 +65,11 @@ REWEIGHT = (
     "so that rare bright light is missing until it has been found more often"
 )
 #: Camera paths of a pass for two cores: fewer use the cores badly, more delay the first picture. The number grows with
-#: the cores, up to a factor of ``_MOST_FULL``, which is also the factor for a GPU.
+#: the cores, up to a factor of ``_MOST_FULL``. A GPU has the factor ``_GPU_FULL``: on an H100, what Python and the host
+#: do for a pass takes as long as the kernels of four million paths.
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
+_GPU_FULL = 32
 #: Camera paths of a pass for methods that learn after each.
 STEP_LANES = 1 << 17
 #: Memory of a camera path during its pass, in bytes.
@@ -243,7 +246,7 @@ class ImageMethod(Method):
     def full_lanes(self) -> int:
         """Camera paths of a pass if ``samples_per_pass`` is 0."""
         is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
-        return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _MOST_FULL)
+        return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _GPU_FULL)
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
@@ -260,13 +263,12 @@ class ImageMethod(Method):
             first, bad = self.first_layers(iteration, seed, samples)
             layers |= first
             counters["nonfinite"] += bad
-        sums = {name: layer.astype(np.float64) for name, layer in layers.items()}
         measured = ["image", *(name for name in layers if self.settings.aovs and name in PARTS)]
         return Measurement(
-            sums=sums,
+            sums=dict(layers),
             weights=dict.fromkeys(layers, float(samples)),
             iterations=Iterations.single(iteration),
-            squares={name: np.square(sums[name]) for name in measured},
+            squares=SquaresOf(layers, measured),
             counters=counters | {"samples": float(samples)},
         )
 

@@ -111,8 +111,8 @@ class LightTracing(Carrying, ImageMethod):
             counters["rays"] += total(rays) + total(seen_rays)
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
-        images = (*scattered.splats.sums(), *seen.splats.sums())
-        layers = {name: image * (samples / paths) for name, image in zip((*own, "emission"), images, strict=True)}
+        images = (image for sink in (scattered, seen) for image in sink.splats.sums(samples / paths))
+        layers = dict(zip((*own, "emission"), images, strict=True))
         if self._learning:
             self._learning.end_pass(sum(layers[name] for name in own[1:]) + layers[own[0]], samples)
         return layers, counters

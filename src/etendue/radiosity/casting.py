@@ -143,7 +143,7 @@ class LineCasting(Method):
         self._error = IrradianceError(patches, self._options.replicates)
         self._seed = seed
         self.engine = self._engine_for(patches)
-        size = self._given.bundles_per_pass or self.engine.piece(_USUAL)
+        size = self._given.bundles_per_pass or self.engine.piece(min(self.most or _USUAL, _USUAL))
         self._options = self.settings = self._given.replace(bundles_per_pass=size)
         self._take_turns()
         if self.memory() < 1:

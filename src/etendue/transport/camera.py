@@ -91,10 +91,11 @@ class Splats:
             index = index + image * self._stride
             dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
 
-    def sums(self) -> NDArray[np.float32]:
-        """The images on the host, (images, height, width, 3) float32."""
-        pixels = self.array if self._grid is None else self._grid.pixels(self.array)
-        return np.asarray(pixels).reshape(-1, self._camera.height, self._camera.width, 4)[..., :3]
+    def sums(self, factor: float = 1.0) -> NDArray[np.float32]:
+        """The images, times ``factor``, on the host, (images, height, width, 3) float32."""
+        pixels = self._grid.pixels(self.array) if self._grid else dr.unravel(mi.Vector4f, self.array)
+        colours = mi.Color3f(pixels.x, pixels.y, pixels.z) * dr.opaque(mi.Float, factor)
+        return np.array(dr.ravel(colours)).reshape(-1, self._camera.height, self._camera.width, 3)
 
 
 class CameraSampler:

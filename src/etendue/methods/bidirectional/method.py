@@ -255,11 +255,11 @@ class Bidirectional(Carrying, ImageMethod):
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # Splats are sums over N light paths; the weight of the layers is the number of samples.
-            splatted = splats.sums() * (samples / self._paths)
+            splatted = splats.sums(samples / self._paths)
             own = REFLECTED if s.components else ("splat" if s.split_layers else "image",)
             names = (*own, *self._more_radii)
             for name, image in zip(names, splatted, strict=True):
-                layers[name] = layers[name] + image if name in layers else image
+                layers[name] = np.add(layers[name], image, out=image) if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
         for learned in self._learned.values():
             if learned is not self._choosing or self.techniques.connection:
