@@ -115,6 +115,16 @@ def child(command: str, options: Mapping[str, Any], environment: Mapping[str, st
     return outcome
 
 
+def gpu() -> str:
+    """Name of the first GPU, as its driver says it."""
+    command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
+    except (OSError, subprocess.SubprocessError):
+        return "a GPU"
+    return said.partition("\n")[0].strip()
+
+
 def machine() -> str:
     """Processor, cores that this process may use, memory, system."""
     model = platform.processor() or platform.machine()
@@ -134,7 +144,9 @@ def software(variant: str) -> str:
     import drjit as dr
 
     names = [f"{name} {metadata.version(name)}" for name in ("etendue", "mitsuba", "drjit")]
-    if variant.startswith("llvm"):
+    if variant.startswith("cuda"):
+        names.insert(0, gpu())
+    elif variant.startswith("llvm"):
         names.append("LLVM " + ".".join(str(v) for v in dr.detail.llvm_version()))
     names.append(f"Python {platform.python_version()}")
     return ", ".join([variant, *names])
@@ -183,7 +195,9 @@ class Record:
 
     def publish(self, variant: str, results: Path | None = None) -> None:
         """Print the table, and put it at the end of the file ``results``, if one is given, in place of an older one of
-        the same title."""
+        the same title. Titles of tables made on a GPU say so, so that they stand beside those of a CPU."""
+        if variant.startswith("cuda"):
+            self.title += ", on a GPU"
         for kept in _KEPT:
             kept.append(self)
         console.print(self.title, style="italic")

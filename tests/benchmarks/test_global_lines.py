@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.experiments import call, is_number, tables_of
+from support.tables import thinned
 
 from etendue.core import OptionError
 from etendue.points import Halton, uniformity_score
@@ -254,7 +255,7 @@ COMMANDS = {
 FILES = {"sequences": 6, "generators": 1, "direct": 1, "estimators": 2, "hierarchy": 2}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", thinned(COMMANDS, ("direct", "estimators")))
 def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
     words = [command, *COMMANDS[command], "--out", str(tmp_path), "--record"]
     tables = tables_of("radiosity", words, tmp_path, monkeypatch)

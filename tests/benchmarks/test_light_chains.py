@@ -25,6 +25,7 @@ def test_the_floor_of_the_thesis_is_not_sampled_by_its_material(scene, sampled):
     assert {settings["bsdf_sampling"] for _, settings in entrants.values()} == {sampled}
 
 
+@pytest.mark.slow
 def test_a_table_of_particles(tmp_path, monkeypatch):
     words = ["against", "--scene", "cornell", "--millions", "0.1", "--reference-millions", "0.4", "--seeds", "2"]
     (table,) = tables_of("light_chains", words, tmp_path, monkeypatch)

@@ -17,6 +17,7 @@ def number(cell):
     return float(cell.split()[0])
 
 
+@pytest.mark.slow
 def test_errors_fall_with_particles_and_smoothing(errors, monkeypatch):
     """Cells of eight times the area have less noise, kernels still less; four times the particles half of it."""
     monkeypatch.setattr(errors, "_PASSES", 1)

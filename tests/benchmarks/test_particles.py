@@ -31,6 +31,7 @@ def test_maps(tmp_path, monkeypatch):
     assert all(float(row[6]) < 0.1 for row in record.rows)
 
 
+@pytest.mark.slow
 def test_records_of_real_chains(tmp_path, monkeypatch):
     """Check 18 of the framework's list, of real chains: strips are smaller than rows, chains than independent
     particles; neither loses anything."""

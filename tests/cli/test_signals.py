@@ -74,6 +74,7 @@ def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(folder):
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
 
 
+@pytest.mark.slow
 def test_a_signal_saves_now_and_the_run_goes_on(folder):
     """With low priority."""
     process = start(*RENDER, "--spp", "3000", "--save-every", "0", "--low-priority")
@@ -90,6 +91,7 @@ def test_a_signal_saves_now_and_the_run_goes_on(folder):
     assert process.returncode == 128 + signal.SIGTERM and film.read_exr("a.exr").metadata["passes"] > early["passes"]
 
 
+@pytest.mark.slow
 def test_signals_within_a_second_are_one_request():
     """As of ``timeout``, which sends its signal to its child, then to the group of the child. The run ends later than
     the last of them: a pass takes longer."""
@@ -130,6 +132,7 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [

@@ -85,6 +85,7 @@ def test_ray_tracers():
     assert 2 * module.noise(found["vegas"]) < module.noise(found["expanded"])
 
 
+@pytest.mark.slow
 def test_photon_tracer():
     found = example("photon_tracer").run(size=24, photons=1 << 16, squares=8, samples=256)
     assert_agree(found["photons"][..., None], found["path"][..., None], "irradiance of the floor", block=1)

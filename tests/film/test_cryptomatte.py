@@ -127,6 +127,6 @@ def test_a_picture_with_its_matte(tmp_path):
     assert "small-box" in manifest and {f"CryptoObject0{k}" for k in range(3)} <= set(made.layers)
     covered = sum(made.layers[f"CryptoObject0{k}"][..., 1::2].sum(axis=2) for k in range(3))
     inside = covered[1:-1, 4:-4]  # of a closed room, where a ray through an edge of two walls may meet neither
-    assert covered.max() == 1.0 and inside.min() >= 63 / 64 and np.mean(inside == 1.0) > 0.9
+    assert covered.max() == 1.0 and inside.min() >= 60 / 64 and np.mean(inside == 1.0) > 0.9
     # Denoisers do not take it for light.
     assert component_names(made.layers) == component_names(plain.layers) == COMPONENTS

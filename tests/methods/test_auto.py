@@ -107,6 +107,7 @@ def estimated():
     return methods
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", thinned(BRUTE, ("path", "bpt", "vcm")))
 def test_moments_are_those_of_the_candidate(estimated, name):
     """The variance that the learning passes foresee, and that between passes with the candidate's counts. They differ

@@ -29,6 +29,7 @@ def developed(method: Any, made: Run, size: tuple[int, int], **how: Any) -> np.n
     return np.asarray(method.picture(made.measurement, Development(size, **how)))
 
 
+@pytest.mark.slow
 def test_one_run_renders_at_two_resolutions():
     """A histogram of twice the resolution has the same samples; so has a kernel's, but for its width in the film."""
     method, made = rendered(scenes.room("rectangle", scenes.FEW))
@@ -85,7 +86,7 @@ OTHER_PATHS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(OTHER_PATHS, ("light", "pairs", "uniform")))
+@pytest.mark.parametrize("name", thinned(OTHER_PATHS, ("uniform",)))
 def test_other_paths_make_the_picture_of_another_method(name):
     settings, other = OTHER_PATHS[name]
     problem = lamp_and_mirror()
@@ -105,6 +106,7 @@ def test_other_paths_among_materials(emitter, group, paths):
     assert_agree(images, run(problem, other, passes=8, samples=1024).images, (emitter, group, paths))
 
 
+@pytest.mark.slow
 def test_light_paths_find_caustics_that_camera_paths_do_not():
     """Of a point light under a ball of glass."""
     problem = scenes.room("point", ("dielectric",))
@@ -206,6 +208,7 @@ def test_halves_of_painted_light_are_independent():
     assert abs(np.corrcoef(halves.T)[0, 1]) < 0.3
 
 
+@pytest.mark.slow
 def test_going_on_lowers_the_error():
     problem = scenes.room("rectangle", scenes.FEW)
     reference = run(problem, "path", passes=8, samples=512).mean
@@ -240,6 +243,7 @@ def test_the_border_is_dark_without_samples_around_it(estimator):
     assert border(0.0, 0.25) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_lights_painted_later_lower_the_error_of_the_rest():
     """A lamp in the picture has most of the luminance, and so most of the samples of chains that see it."""
     problem = load(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.running import Stepped, go, prepared, run
 from support.scenes import camera, diffuse, furnace, rgb
+from support.tables import thinned
 
 from etendue.core import CheckpointError, OptionError
 from etendue.film import relative_mse
@@ -26,7 +27,7 @@ def test_inside_a_furnace(after):
     assert abs(pictures.mean() - exact) < 4 * pictures.std(ddof=1) / np.sqrt(6) + 0.005 * exact
 
 
-@pytest.mark.parametrize("scene", ["cornell-box", "cornell-glass"])
+@pytest.mark.parametrize("scene", thinned(["cornell-box", "cornell-glass"], ["cornell-box"]))
 def test_the_light_of_path(scene):
     """In the mean within 1.5 %, also of light through glass onto diffuse surfaces, which no light point finds."""
     problem = load(scene, size=(32, 32))
@@ -66,6 +67,7 @@ def test_a_lamp_in_a_mirror_counts_once():
     assert found.mean() == pytest.approx(exact.mean(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_less_noise_than_path():
     """At as many camera paths. Measured: 0.00021 and 0.0040 in pixels of 192 x 192."""
     problem = load("cornell-box", size=(64, 64))

@@ -319,6 +319,7 @@ def test_a_camera_at_the_origin():
     assert np.isfinite(runner.step(0, 1).mean()).all()
 
 
+@pytest.mark.slow
 def test_long_paths_of_a_white_room():
     """Lengths of paths are drawn as light decreases along them, or the picture has no finite variance."""
     problem, images = scenes.furnace("box", 1.0, 0.9, size=(4, 4)), []

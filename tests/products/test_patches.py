@@ -147,6 +147,14 @@ def test_pictures_of_errors_and_lightmaps_are_outputs_as_well():
         solution({"files": (Path("m.exr"),), "lightmap": Path("m.glb"), "uv": "a.glb"})
 
 
+def test_few_bundles_have_an_error_on_a_gpu(monkeypatch, tmp_path):
+    """It casts hundreds of a small scene at once, but an error needs several passes."""
+    monkeypatch.setattr("etendue.radiosity.lines.abuffer.uses_cuda", lambda: True)
+    etendue.solve_radiosity(cube(2, **LIT), bundles=16, save=tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as saved:
+        assert (saved["radiosity_error"] > 0.0).all()
+
+
 @pytest.mark.parametrize(
     ("files", "text"), [({"save": "a.ply"}, r"\.ply shows one"), ({"lightmap": "a.exr"}, "a lightmap shows one")]
 )

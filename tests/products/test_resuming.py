@@ -47,7 +47,7 @@ def test_a_run_of_version_1_goes_on_to_the_same(name, folder, variant):
     else:
         found = result.factors.matrix.toarray()
     with np.load(VERSION_1 / "expected.npz") as expected:
-        rounding = 1e-6 if variant.startswith("llvm") else 1e-4  # a GPU's is not that of the CPU that wrote them
+        rounding = 1e-6 if variant.startswith("llvm") else 1e-3  # a GPU's is not that of the CPU that wrote them
         np.testing.assert_allclose(found, expected[name], rtol=rounding, atol=1e-9)
     written = Checkpoint.read(saved)  # by this version, which goes on with it by itself
     assert written.method == method and "lines" not in written.notes

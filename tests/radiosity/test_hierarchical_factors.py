@@ -185,6 +185,7 @@ def test_the_lines_of_a_patch_are_the_sum_of_those_to_all_others(kind):
     np.testing.assert_allclose(partial_form_factors(segments, "F1").row_sums() + dark, 1, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_lines_need_not_be_followed_beyond_their_sphere():
     """The same lines from far outside the scene to its other end have the same segments with ends in the sphere."""
     for patches in (room(2), overlapping(), open_shelf()):
@@ -209,7 +210,13 @@ def test_lines_need_not_be_followed_beyond_their_sphere():
 
 
 @pytest.mark.parametrize(
-    ("kind", "patches"), [("rays", room(1)), ("bundles", room(1)), ("rays", overlapping()), ("rays", open_shelf())]
+    ("kind", "patches"),
+    [
+        pytest.param("rays", room(1), marks=pytest.mark.slow),
+        ("bundles", room(1)),
+        pytest.param("rays", overlapping(), marks=pytest.mark.slow),
+        ("rays", open_shelf()),
+    ],
 )
 def test_form_factors_are_those_of_lines_of_the_whole_scene(kind, patches):
     """In the mean of 16 runs, whatever the objects: entries scatter about the exact ones as their errors say."""
@@ -234,6 +241,7 @@ def test_form_factors_are_those_of_lines_of_the_whole_scene(kind, patches):
             assert np.abs(areas[:, None] * mean - (areas[:, None] * mean).T).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_stated_errors_are_those_of_independent_lines():
     """Root mean square over entries of the scatter of 30 runs, against the errors that runs state."""
     tree = tree_of(room(1))

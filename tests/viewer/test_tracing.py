@@ -156,6 +156,7 @@ def test_the_process_has_what_the_method_has_learned(tmp_path: Any) -> None:
         talk(viewer, conversation)
 
 
+@pytest.mark.slow
 def test_rays_follow_the_method_and_the_passes(tmp_path: Any) -> None:
     async def conversation(page: Page) -> None:
         await passes(page, 1)

@@ -80,7 +80,9 @@ class PatchProduct(Product[R]):
         kind: Any = task.method
         if issubclass(kind, LineCasting):
             goal = self.goal if self.is_watched or budget.error is not None else None
-            return self._casting(task, kind, settings, problem, goal)
+            casting = self._casting(task, kind, settings, problem, goal)
+            casting.most = budget.samples  # so that few bundles make passes enough for an error
+            return casting
         made: Method = kind(settings)
         return made
 
@@ -92,8 +94,8 @@ class PatchProduct(Product[R]):
         made: Settings = task.method.Settings.from_mapping(given)
         return made
 
-    def _casting(self, task: Task, kind: Any, settings: Settings, problem: Any, goal: Any) -> Method:
-        made: Method = kind(settings, goal=goal)
+    def _casting(self, task: Task, kind: Any, settings: Settings, problem: Any, goal: Any) -> LineCasting:
+        made: LineCasting = kind(settings, goal=goal)
         return made
 
     def prepared(self, job: Job) -> None:

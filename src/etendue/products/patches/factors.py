@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from etendue.core import Method, OptionError, Settings, suggest
+from etendue.core import OptionError, Settings, suggest
 from etendue.engine import Job, RunResult, Task, silent
 from etendue.radiosity import (
     ESTIMATORS,
     FORM_FACTOR_FILES,
     HierarchicalCasting,
+    LineCasting,
     PartialSegments,
     PatchProblem,
     PatchSource,
@@ -69,7 +70,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         known = {"estimator": self.estimator, "outputs": [str(path.absolute()) for path in self.outputs]}
         return {"product": {"kind": self.kind, **known}}
 
-    def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, goal: Any) -> Method:
+    def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, goal: Any) -> LineCasting:
         if issubclass(kind, HierarchicalCasting):
             source: Any = task.source
             return HierarchicalCasting(source.objects_of(problem.patches), settings, goal=goal)  # type: ignore[arg-type]
