@@ -1,4 +1,4 @@
-"""Write the generated parts of the manual: settings and papers of methods, and the bibliography.
+"""Write the generated parts of the manual: settings and papers of methods, the bibliography, and measured figures.
 
 python tools/manual_tables.py            rewrite the pages between their markers
 python tools/manual_tables.py --check    exit with 1 if a page is not current
@@ -19,7 +19,12 @@ from etendue.methods import ImageSettings
 from etendue.products import FACTORS, PARTICLES, SOLUTIONS, find
 from etendue.radiosity import BoxSettings
 
-PAGES = Path(__file__).resolve().parent.parent / "docs" / "methods"
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = ROOT / "docs" / "methods"
+#: Where ``<!-- record: TITLE -->`` and ``<!-- /record -->`` enclose a table of the benchmarks' records.
+_RECORD = re.compile(r"(<!-- record: (.+?) -->\n).*?(<!-- /record -->)", re.DOTALL)
+#: What a cell says of the bar of its figure.
+_VERDICT = re.compile(r", [≤≥] [^|]*?: (reached|missed)")
 #: An accent of BibTeX on a letter, in the forms ``\\v{r}``, ``{\\'a}`` and the like.
 _ACCENT = re.compile(r"\\([`'^\"~vc])\s*\{?(\w)\}?")
 _COMBINING = {"`": "\u0300", "'": "\u0301", "^": "\u0302", "~": "\u0303", '"': "\u0308", "v": "\u030c", "c": "\u0327"}
@@ -112,6 +117,31 @@ def bibliography_page() -> str:
     return f"# Bibliography\n\n{head}\n\n" + "\n".join(rows) + "\n"
 
 
+def recorded(title: str, records: str) -> str:
+    """The table of a record without its bars, and the command, machine and day that made it."""
+    found = re.search(
+        rf"^## {re.escape(title)}, (\d{{4}}-\d\d-\d\d) .*?\n\n(`.*?`); (.*?), load (.*?)\n\n(.*?)\n\n",
+        records,
+        re.MULTILINE | re.DOTALL,
+    )
+    if not found:
+        raise ValueError(f"benchmarks/RESULTS.md has no table '{title}'")
+    day, command, machine, software, table = found.groups()
+    if gpu := re.search(r"cuda_ad_rgb, (.+?), etendue", software):
+        machine = f"{gpu[1]}, {machine}"
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.split("\n")]
+    kept = [k for k, name in enumerate(rows[0]) if name != "bar"]
+    lines = ["| " + " | ".join(_VERDICT.sub("", row[k]) for k in kept) + " |" for row in rows]
+    return "\n".join(lines) + f"\n\n{command}, {day}, {machine}"
+
+
+def speed_page() -> str:
+    """The page of measured figures with its tables from the records."""
+    records = (ROOT / "benchmarks" / "RESULTS.md").read_text("utf-8")
+    page = (ROOT / "docs" / "speed.md").read_text("utf-8")
+    return _RECORD.sub(lambda m: f"{m[1]}{recorded(m[2], records)}\n{m[3]}", page)
+
+
 def pages() -> dict[Path, str]:
     """Every page with generated parts, as it should be."""
     wanted = {PAGES / f"{name}.md": method for name, method in methods.table().items()}
@@ -119,6 +149,7 @@ def pages() -> dict[Path, str]:
     return made | {
         PAGES.parent / "settings.md": settings_page(),
         PAGES.parent / "bibliography.md": bibliography_page(),
+        PAGES.parent / "speed.md": speed_page(),
     }
 
 
