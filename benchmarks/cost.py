@@ -97,7 +97,7 @@ def measure(
         for label, extra in rows.items():
             estimator = method(method.Settings.from_mapping({**COST_SETTINGS[variant.method], **extra}))
             estimator.prepare(problem, 0)
-            tasks[label] = Replica(estimator, 0).step
+            tasks[label] = _Adding(Replica(estimator, 0))
             stated = size == BAR_SIZE and source == COST_SCENE and not variant.settings
             bars[label] = BARS.get(variant.method) if stated else None
     times = interleaved(tasks, rounds, warm_up)
@@ -124,13 +124,23 @@ def measure(
         f"median (min … max) of {rounds} rounds after {warm_up} to warm up; a ratio is that of two passes of one round",
         "one camera path per pixel; for bpt and vcm one light path, connection and light point, for sppm as many light "
         "paths; merge and first gather radius 0.003 of half the box's diagonal (constant for vcm); a pass of ours "
-        "ends with its sums on the host, in float64",
+        "ends with its sums added to those of the passes before, on the host in float64",
         "roulette as Mitsuba: " + ", ".join(f"{key}={value:g}" for key, value in ROULETTE.items()),
         "cpu: all threads of the process; of no meaning under CUDA",
     ]
     if plain:
         record.notes.append("to the method without: ratio of wall times to the method without those settings")
     return record
+
+
+class _Adding:
+    """A pass, and the addition of its sums to those before."""
+
+    def __init__(self, replica: Replica) -> None:
+        self._replica, self._total = replica, replica.step(1 << 20)
+
+    def __call__(self, number: int) -> None:
+        self._total += self._replica.step(number)
 
 
 def _ratios(clocks: Sequence[Clock], others: Sequence[Clock]) -> tuple[list[float], list[float]]:

@@ -196,11 +196,10 @@ class Record:
     def publish(self, variant: str, results: Path | None = None) -> None:
         """Print the table, and put it at the end of the file ``results``, if one is given, in place of an older one of
         the same title. Titles of tables made on a GPU say so, so that they stand beside those of a CPU."""
-        if variant.startswith("cuda"):
-            self.title += ", on a GPU"
+        title = f"{self.title}, on a GPU" if variant.startswith("cuda") else self.title
         for kept in _KEPT:
             kept.append(self)
-        console.print(self.title, style="italic")
+        console.print(title, style="italic")
         table = Table(box=None, pad_edge=False)
         for column in self.columns:
             table.add_column(column)
@@ -212,19 +211,17 @@ class Record:
         console.print()
         if results is not None:
             before = results.read_text("utf-8") if results.exists() else ""
-            older = re.compile(
-                rf"^## {re.escape(self.title)}, \d{{4}}-\d\d-\d\d.*?(?=^## |\Z)", re.MULTILINE | re.DOTALL
-            )
-            results.write_text(older.sub("", before).rstrip("\n") + "\n" + self._markdown(variant), "utf-8")
+            older = re.compile(rf"^## {re.escape(title)}, \d{{4}}-\d\d-\d\d.*?(?=^## |\Z)", re.MULTILINE | re.DOTALL)
+            results.write_text(older.sub("", before).rstrip("\n") + "\n" + self._markdown(title, variant), "utf-8")
 
-    def _markdown(self, variant: str) -> str:
+    def _markdown(self, title: str, variant: str) -> str:
         def line(cells: Sequence[str]) -> str:
             return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
         words = [_program(Path(sys.argv[0])), *_without_out(sys.argv[1:])]
         load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
         lines = [
-            f"\n## {self.title}, {datetime.now():%Y-%m-%d %H:%M}\n",
+            f"\n## {title}, {datetime.now():%Y-%m-%d %H:%M}\n",
             f"`python -m {shlex.join(words)}`; {machine()}, load {load} at the end; {software(variant)}.\n",
             line(self.columns),
             line(["---"] * len(self.columns)),

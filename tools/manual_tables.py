@@ -118,21 +118,20 @@ def bibliography_page() -> str:
 
 
 def recorded(title: str, records: str) -> str:
-    """The table of a record without its bars, and the command, machine and day that made it."""
-    found = re.search(
-        rf"^## {re.escape(title)}, (\d{{4}}-\d\d-\d\d) .*?\n\n(`.*?`); (.*?), load (.*?)\n\n(.*?)\n\n",
-        records,
-        re.MULTILINE | re.DOTALL,
-    )
+    """The table of a record without its bars, its notes, and the command, day and machine that made it."""
+    head = rf"^## {re.escape(title)}, (\d{{4}}-\d\d-\d\d) .*?\n\n(`.*?`); (.*?), load (.*?)\n\n(.*?)(?=\n\n## |\Z)"
+    found = re.search(head, records, re.MULTILINE | re.DOTALL)
     if not found:
         raise ValueError(f"benchmarks/RESULTS.md has no table '{title}'")
-    day, command, machine, software, table = found.groups()
+    day, command, machine, software, body = found.groups()
+    table, _, notes = body.strip().partition("\n\n")
     if gpu := re.search(r"cuda_ad_rgb, (.+?), etendue", software):
         machine = f"{gpu[1]}, {machine}"
     rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.split("\n")]
     kept = [k for k, name in enumerate(rows[0]) if name != "bar"]
     lines = ["| " + " | ".join(_VERDICT.sub("", row[k]) for k in kept) + " |" for row in rows]
-    return "\n".join(lines) + f"\n\n{command}, {day}, {machine}"
+    left = [note for note in notes.split("\n") if not _VERDICT.search(f", {note}")]
+    return "\n".join([*lines, "", *left, f"- {command}, {day}, {machine}"])
 
 
 def speed_page() -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import pickle
 
 import numpy as np
 import pytest
 
-from etendue.core import CONTRAST, RELATIVE_EPSILON, EtendueError, Iterations, Measurement
+from etendue.core import CONTRAST, RELATIVE_EPSILON, EtendueError, Iterations, Measurement, SquaresOf
 
 
 def one_pass(iteration, value, weight=1.0, replica=0):
@@ -48,6 +49,33 @@ def test_order_does_not_matter(passes):
     shuffled = sum((one_pass(i, passes[i]) for i in order[1:]), one_pass(order[0], passes[order[0]]))
     np.testing.assert_allclose(shuffled.mean(), forward.mean(), rtol=1e-12)
     assert shuffled.iterations == forward.iterations
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_squares_that_are_made_when_asked_for(passes, order, kind):
+    """Sums of a pass in any precision and order, one array under two names: nothing is lost, nothing else changes."""
+    layers = [np.array(value, kind, order=order) for value in passes]
+
+    def lazy(i):
+        sums = {"image": layers[i], "other": layers[i]}
+        weights = dict.fromkeys(sums, 2.0)
+        return Measurement(sums, weights, Iterations.single(i), squares=SquaresOf(sums, ["image"]))
+
+    total = lazy(0)
+    assert total.has_error() and not total.has_error("other")
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(total)).squares["image"], np.square(layers[0], dtype=float))
+    for i in range(1, len(layers)):
+        total += lazy(i) if i % 2 else lazy(i).copy()
+    exact = np.array(layers, np.float64)
+    for name in ("image", "other"):
+        np.testing.assert_allclose(total.sums[name], exact.sum(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(total.squares["image"], np.square(exact).sum(axis=0), rtol=1e-14)
+    np.testing.assert_array_equal(np.array(layers), passes.astype(kind))
+    one = lazy(3)
+    one.scale(0.5)
+    np.testing.assert_allclose([one.sums["image"], one.squares["image"]], [exact[3] / 2, exact[3] ** 2 / 4])
+    np.testing.assert_array_equal(layers[3], passes[3].astype(kind))
 
 
 def test_add_leaves_its_operands_alone():

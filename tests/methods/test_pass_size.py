@@ -8,6 +8,9 @@ import pytest
 from support import scenes
 from support.running import prepared
 
+from etendue import methods
+from etendue.engine.fitting import fit_samples
+
 #: Samples of a pass of 256x256 pixels, on two cores and on eight.
 SAMPLES = {
     "path": (16, 64),
@@ -38,3 +41,14 @@ def test_small_pictures_have_at_most_64_samples_a_pass_and_large_ones_one(monkey
     monkeypatch.setattr(dr, "thread_count", lambda: 2)
     assert prepared(scenes.field(0.5, 1.0, size=(8, 8)), "path").samples_per_iteration == 64
     assert prepared(scenes.field(0.5, 1.0, size=(1024, 1024)), "vcm").samples_per_iteration == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "samples", "passes"), [("path", 64, 8), ("auto", 64, 8), ("vcm", 4, 4), ("guided", 64, 32)]
+)
+def test_few_samples_are_several_passes_on_a_gpu(name, samples, passes, monkeypatch):
+    """It would render them all in one, and know no error."""
+    monkeypatch.setattr("etendue.methods.base.uses_cuda", lambda: True)
+    problem, kind = scenes.field(0.5, 1.0, size=(512, 512)), methods.get(name)
+    fitted = fit_samples(kind(kind.Settings()), samples, problem, 0)
+    assert -(-samples // fitted.samples_per_iteration) == passes

@@ -9,6 +9,7 @@ from .backend import (
     on_device as on_device,
     set_threads as set_threads,
     use_variant as use_variant,
+    uses_cuda as uses_cuda,
 )
 from .citations import bibliography as bibliography, bibtex as bibtex
 from .errors import (

@@ -119,6 +119,13 @@ def cuda_problem() -> str | None:
     return None
 
 
+def uses_cuda() -> bool:
+    """Whether the current variant computes on a GPU."""
+    import mitsuba as mi
+
+    return (mi.variant() or "").startswith("cuda")
+
+
 def choose_variant(requested: str | None = None) -> str:
     """The Mitsuba variant to use: ``requested``, or by default CUDA where usable, else LLVM.
 

@@ -11,7 +11,6 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from .errors import EtendueError
 from .log import logger
 from .records import Record
 
-Array = NDArray[Any]
+Array = NDArray[np.float64]
 
 #: Ending of the name of a sum that is the difference of two independent halves of another one.
 CONTRAST = " contrast"
@@ -118,7 +117,10 @@ class SquaresOf(Mapping[str, Array]):
         self._sums = {name: sums[name] for name in names}
 
     def __getitem__(self, name: str) -> Array:
-        return np.square(self._sums[name], dtype=np.float64)
+        return np.square(self._sums[name], dtype=np.float64, order="C")
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._sums
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._sums)
@@ -127,7 +129,7 @@ class SquaresOf(Mapping[str, Array]):
         return len(self._sums)
 
     def add_to(self, total: Array, name: str) -> None:
-        """Add those of ``name`` in place."""
+        """Add those of ``name`` to ``total``, C-contiguous, in place."""
         added, values = total.reshape(-1), self._sums[name].reshape(-1)
         for first in range(0, len(values), _BLOCK):
             part = values[first : first + _BLOCK].astype(np.float64)
@@ -217,12 +219,10 @@ class Measurement:
         return self
 
     def _widen(self) -> None:
-        """Make the arrays such that others can be added to them."""
+        """Make the arrays of one pass, which may be another's, own ones that others can be added to."""
         if isinstance(self.squares, SquaresOf):
+            self.sums = {name: np.array(values, np.float64, order="C") for name, values in self.sums.items()}
             self.squares = dict(self.squares)
-        for name, values in self.sums.items():
-            if values.dtype != np.float64:
-                self.sums[name] = values.astype(np.float64)
 
     def _weighs_like(self, other: Measurement, name: str) -> bool:
         """Whether the passes of both have the same weight, given that those of each measurement have."""

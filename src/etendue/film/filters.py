@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeVar
 
 import drjit as dr
@@ -110,6 +109,12 @@ class _Axis:
         self.values = on_device(mi.Float, table.values)
         self.inverse_integral = on_device(mi.Float, 1.0 / integral)
         self.camera_weight = on_device(mi.Float, magnitude / integral)
+        pixel, middle = np.arange(size), size // 2
+        alike = np.where(np.minimum(pixel, size - 1 - pixel) > math.ceil(self.reach), middle, pixel)
+        #: Pixels with different weights: those near the border, and the middle one for all others; which of them each
+        #: pixel is.
+        self.by_border, which = np.unique(alike, return_inverse=True)
+        self.border = copied_to_device(mi.UInt32, which.astype(np.uint32))
         weights = cell_weights(table.values, _BINS_PER_CELL)
         self.cell_weights = None if weights is None else on_device(mi.Float, weights)
 
@@ -233,15 +238,6 @@ class _Axis:
             row[end - self.candidates : end] = weights
         return on_device(mi.Float, dense.ravel()), offsets
 
-    @cached_property
-    def by_border(self) -> tuple[NDArray[np.int64], mi.UInt32]:
-        """(pixels of the axis with different weights: those near the border, and the middle one for all others; which
-        of them each pixel is, on the device)."""
-        pixel, middle = np.arange(self.size), self.size // 2
-        alike = np.where(np.minimum(pixel, self.size - 1 - pixel) > math.ceil(self.reach), middle, pixel)
-        pixels, which = np.unique(alike, return_inverse=True)
-        return pixels, copied_to_device(mi.UInt32, which.astype(np.uint32))
-
     def reached(self, spread: Spread, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Sum of the filter over the samples on the film within the radius, for each sample number and each of
         ``pixels`` of the axis: (samples, pixels); 1 away from the border."""
@@ -329,10 +325,11 @@ class PixelFilter:
         """1 over the mean filter weight of the samples that reach each pixel; 1 away from the border."""
         # Pixels away from the border have equal weights, so that few rows and columns have to be multiplied. Not by
         # BLAS, whose threads would compete with the threads of Dr.Jit and take longer than everything else.
-        (columns, column), (rows, row) = self._x.by_border, self._y.by_border
+        columns, rows = self._x.by_border, self._y.by_border
         reached = np.einsum("si,sj->ij", self._y.reached(down, rows), self._x.reached(across, columns))
         inverse = copied_to_device(mi.Float, (np.float32(dr.width(across.last)) / reached).ravel())
-        place = dr.gather(mi.UInt32, row, y) * dr.opaque(mi.UInt32, len(columns)) + dr.gather(mi.UInt32, column, x)
+        place = dr.gather(mi.UInt32, self._y.border, y) * dr.opaque(mi.UInt32, len(columns))
+        place += dr.gather(mi.UInt32, self._x.border, x)
         return dr.gather(mi.Float, inverse, place)
 
     def _by_neighbour(self, values: list[V], across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> list[V]:

@@ -29,6 +29,7 @@ from etendue.core import (
     State,
     free_memory,
     setting,
+    uses_cuda,
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
@@ -70,6 +71,8 @@ REWEIGHT = (
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
 _GPU_FULL = 32
+#: Passes on a GPU, if there are as many samples: its passes are large, and an error is that between passes.
+_GPU_PASSES = 8
 #: Camera paths of a pass for methods that learn after each.
 STEP_LANES = 1 << 17
 #: Memory of a camera path during its pass, in bytes.
@@ -196,6 +199,8 @@ class ImageMethod(Method):
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
         self.notes: dict[str, Any] = {}  #: for the metadata of pictures, found by ``prepare``
+        if uses_cuda():
+            self.least_passes = max(self.least_passes, _GPU_PASSES)
         if self.settings.for_denoising:
             self.least_passes = max(self.least_passes, DENOISING_PASSES)
 
@@ -245,8 +250,7 @@ class ImageMethod(Method):
 
     def full_lanes(self) -> int:
         """Camera paths of a pass if ``samples_per_pass`` is 0."""
-        is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
-        return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _GPU_FULL)
+        return FULL_LANES * (_GPU_FULL if uses_cuda() else min(max(1, dr.thread_count() // 2), _MOST_FULL))
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
@@ -263,12 +267,13 @@ class ImageMethod(Method):
             first, bad = self.first_layers(iteration, seed, samples)
             layers |= first
             counters["nonfinite"] += bad
+        sums: dict[str, Any] = dict(layers)  # in single precision, as they are of one pass
         measured = ["image", *(name for name in layers if self.settings.aovs and name in PARTS)]
         return Measurement(
-            sums=dict(layers),
+            sums=sums,
             weights=dict.fromkeys(layers, float(samples)),
             iterations=Iterations.single(iteration),
-            squares=SquaresOf(layers, measured),
+            squares=SquaresOf(sums, measured),
             counters=counters | {"samples": float(samples)},
         )
 

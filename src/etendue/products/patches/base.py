@@ -79,10 +79,9 @@ class PatchProduct(Product[R]):
         """See :class:`Product`. Lines of a run to an error are cast as replicates."""
         kind: Any = task.method
         if issubclass(kind, LineCasting):
-            goal = self.goal if self.is_watched or budget.error is not None else None
-            casting = self._casting(task, kind, settings, problem, goal)
-            casting.most = budget.samples  # so that few bundles make passes enough for an error
-            return casting
+            # The number of bundles is for the size of passes: few make enough for an error.
+            own = {"goal": self.goal if self.is_watched or budget.error is not None else None, "most": budget.samples}
+            return self._casting(task, kind, settings, problem, **own)
         made: Method = kind(settings)
         return made
 
@@ -94,8 +93,8 @@ class PatchProduct(Product[R]):
         made: Settings = task.method.Settings.from_mapping(given)
         return made
 
-    def _casting(self, task: Task, kind: Any, settings: Settings, problem: Any, goal: Any) -> LineCasting:
-        made: LineCasting = kind(settings, goal=goal)
+    def _casting(self, task: Task, kind: Any, settings: Settings, problem: Any, **own: Any) -> LineCasting:
+        made: LineCasting = kind(settings, **own)
         return made
 
     def prepared(self, job: Job) -> None:

@@ -70,11 +70,11 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         known = {"estimator": self.estimator, "outputs": [str(path.absolute()) for path in self.outputs]}
         return {"product": {"kind": self.kind, **known}}
 
-    def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, goal: Any) -> LineCasting:
+    def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, **own: Any) -> LineCasting:
         if issubclass(kind, HierarchicalCasting):
             source: Any = task.source
-            return HierarchicalCasting(source.objects_of(problem.patches), settings, goal=goal)  # type: ignore[arg-type]
-        return super()._casting(task, kind, settings, problem, goal)
+            return HierarchicalCasting(source.objects_of(problem.patches), settings, **own)  # type: ignore[arg-type]
+        return super()._casting(task, kind, settings, problem, **own)
 
     def _make(self, job: Job, run: RunResult, writing: Writing, tell: Callable[[str], object]) -> FormFactorResult:
         bundles, segments = self._counted(job, run, tell)

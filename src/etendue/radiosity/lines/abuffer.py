@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, free_memory, logger
+from etendue.core import Array, free_memory, logger, uses_cuda
 from etendue.points import PointSet
 from etendue.surfaces import Patches, is_interior
 
@@ -18,7 +18,6 @@ from ..parallel import compiled, in_order
 from .engine import LineEngine
 from .generators import Bundles
 from .rasteriser import Rasteriser
-from .replay import uses_cuda
 from .segments import Pairs
 from .spiral import SpiralPoints
 

@@ -15,11 +15,6 @@ from etendue.core import Array
 _BLOCK = 1 << 27
 
 
-def uses_cuda() -> bool:
-    """Whether the current variant computes on a GPU."""
-    return (mi.variant() or "").startswith("cuda")
-
-
 class DeviceSegments:
     """Arrays (k, 2) of segments, copied to the device of the current variant."""
 

@@ -9,12 +9,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array
+from etendue.core import Array, uses_cuda
 from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from ..parallel import compiled, in_order, threads
-from .replay import DeviceSegments, uses_cuda
+from .replay import DeviceSegments
 
 Pairs = NDArray[np.uint32]
 #: Divisor of a sum over the segments of a patch: their number, or the number expected from its area.
