@@ -43,9 +43,7 @@ def test_small_pictures_have_at_most_64_samples_a_pass_and_large_ones_one(monkey
     assert prepared(scenes.field(0.5, 1.0, size=(1024, 1024)), "vcm").samples_per_iteration == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "samples", "passes"), [("path", 64, 8), ("auto", 64, 8), ("vcm", 4, 4), ("guided", 64, 32)]
-)
+@pytest.mark.parametrize(("name", "samples", "passes"), [("path", 64, 8), ("auto", 64, 8), ("vcm", 4, 4)])
 def test_few_samples_are_several_passes_on_a_gpu(name, samples, passes, monkeypatch):
     """It would render them all in one, and know no error."""
     monkeypatch.setattr("etendue.methods.base.uses_cuda", lambda: True)
