@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -14,13 +13,7 @@ from support.experiments import call, is_number, tables_of
 from etendue import methods
 from etendue.core import OptionError, Replica
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("cornell", "cornell-specular", "ring", "sitting-room")
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 def module(name):

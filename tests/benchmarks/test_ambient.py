@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,7 @@ from support.experiments import is_number, tables_of
 
 from etendue.radiosity import Patches, RayScene, box, diagnose, sub_scenes
 
-ROOT = Path(__file__).resolve().parents[2]
 SIZES = {"bleed-box": 1062, "curved": 1988, "curved-colour": 1988, "three-lamps": 2154}
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 def test_scenes_are_closed_and_as_large_as_stated():

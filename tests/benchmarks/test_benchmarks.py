@@ -19,11 +19,6 @@ from etendue.core import Replica
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
-
-
 def module(name):
     return importlib.import_module(f"benchmarks.{name}")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,13 +10,6 @@ import pytest
 from support.experiments import is_number, tables_of
 
 from etendue.radiosity import Part, Patches, box, joined
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 def information(part, is_root=True, count=1 << 10):

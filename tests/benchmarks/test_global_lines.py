@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import importlib
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from etendue.core import OptionError
 from etendue.points import Halton, uniformity_score
 from etendue.radiosity import RayScene, diagnose
 
-ROOT = Path(__file__).resolve().parents[2]
 #: Patches and channels that the table of the scenes states.
 SIZES = {
     "six-cubes": (740, 1),
@@ -28,11 +26,6 @@ SIZES = {
     "nine-cubes-factors": (276, 1),
     "test-one-factors": (74, 1),
 }
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 def module(name):
@@ -130,14 +123,8 @@ def test_halvings():
 @pytest.fixture(scope="module")
 def small():
     """six-cubes in larger patches, and its solution."""
-    import sys
-
-    sys.path.insert(0, str(ROOT))
-    try:
-        scene = RayScene(module("scenes").SCENES["six-cubes"](0.5))
-        return scene, module("references").reference(scene, 1 << 18, 512)
-    finally:
-        sys.path.remove(str(ROOT))
+    scene = RayScene(module("scenes").SCENES["six-cubes"](0.5))
+    return scene, module("references").reference(scene, 1 << 18, 512)
 
 
 def test_consecutive_points_are_no_lines(small):

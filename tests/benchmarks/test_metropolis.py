@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +12,6 @@ from support.tables import thinned
 from etendue import render
 from etendue.core import OptionError, Replica
 from etendue.scene import bundled_scene, load
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 @pytest.mark.slow

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import importlib
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture
-def racing(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
+def racing():
     return importlib.import_module("benchmarks.racing")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import shlex
-from pathlib import Path
 
 import pytest
 import typer
@@ -12,13 +11,6 @@ from support.experiments import tables_of
 from typer.main import get_command
 
 from etendue.core import OptionError
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 def module(name):

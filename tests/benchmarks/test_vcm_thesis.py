@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,7 @@ from support.experiments import call, is_number, tables_of
 from etendue import film, methods
 from etendue.core import OptionError, Replica
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("mirror-balls", "living-room", "bathroom", "diffuse")
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks_importable(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
 
 
 def module(name):

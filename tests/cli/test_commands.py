@@ -344,16 +344,3 @@ print(*{name.split(".")[0] for name, file in files.items() if "site-packages" in
     prints = {"annotated_doc", "markdown_it", "mdurl", "pygments", "shellingham", "click", "etendue"}
     assert stands_on <= set(packages)
     assert {name for name in packages if not name.startswith("_")} <= stands_on | prints
-
-
-def test_every_paper_cited_in_the_source_is_in_the_bibliography():
-    known = set(citations.bibliography())
-    root = Path(etendue.__file__).parent
-    found = set()
-    for path in root.rglob("*.py"):
-        for group in re.findall(r"\[([A-Z][^\[\]\n]*? \d{4}[^\[\]]*)\]", path.read_text("utf-8")):
-            for author, second, year in re.findall(r"([A-Z]\w+)(?: (?:and|&) ([A-Z]\w+))? (\d{4}[a-z]?)\b", group):
-                found.add((author + second + year, path.name))
-    assert len(found) > 5
-    missing = {(key, name) for key, name in found if key not in known}
-    assert not missing

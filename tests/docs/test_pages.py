@@ -178,22 +178,6 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     assert begun or capsys.readouterr().out
 
 
-def test_there_are_commands_of_every_kind():
-    assert {
-        "render",
-        "resume",
-        "run",
-        "compare",
-        "develop",
-        "methods",
-        "doctor",
-        "radiosity",
-        "form-factors",
-        "particles",
-        "view",
-    } <= {command.split()[1] for command in COMMANDS}
-
-
 def test_the_page_on_python_lists_all_methods_and_plugins():
     text = (ROOT / "docs" / "python.md").read_text("utf-8")
     for name, method in methods.table().items():

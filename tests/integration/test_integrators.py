@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -188,21 +187,6 @@ def test_combination_by_inverse_variances():
     for mean in (combine, average):
         with pytest.raises(IntegrationError, match="no estimates"):
             mean([])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("on", ["host", "device"])
-@pytest.mark.parametrize("name", sorted(TABLE))
-def test_a_million_evaluations_take_well_under_a_second(name, on):
-    f, _ = known("decay", on)
-    method = TABLE[name][0](f)
-    best = math.inf
-    for _ in range(3):
-        start, used = time.perf_counter(), time.process_time()
-        method.integrate(f, 1_000_000)
-        # On a loaded machine the processor time of all threads is the smaller one.
-        best = min(best, time.perf_counter() - start, time.process_time() - used)
-    assert best < 1.0, f"{name} on the {on}: {best:.2f} s"
 
 
 @pytest.mark.parametrize(

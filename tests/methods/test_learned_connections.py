@@ -96,12 +96,6 @@ def reference() -> np.ndarray:
     return replicas(ajar(), "bpt", runs=8, passes=8, samples=64, seed=500)
 
 
-@pytest.mark.parametrize("name", ["bpt", *(pytest.param(n, marks=pytest.mark.slow) for n in list(METHODS)[1:])])
-def test_learning_does_not_change_the_picture(name):
-    images = replicas(ajar(), name.split()[0], runs=8, passes=8, samples=32, **LEARNS, **METHODS[name])
-    assert_agree(images, reference(), name, precision=0.05)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_learning_does_not_change_the_picture_of_64_seeds(name):

@@ -182,8 +182,8 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", ["bpt", *(pytest.param(n, marks=pytest.mark.slow) for n in list(METHODS)[1:])])
-def test_learning_does_not_change_the_picture(name):
+def test_learning_does_not_change_the_picture():
+    name = next(iter(METHODS))  # others: with more seeds, below
     images = replicas(hidden_lamps(), name.split()[0], runs=8, passes=7, samples=32, **LEARNS, **METHODS[name])
     assert_agree(images, reference(name), name, precision=0.03)
 

@@ -170,15 +170,3 @@ def test_instances_are_not_grouped_again(scene):
 def test_parts_without_light_are_refused():
     with pytest.raises(SceneError, match="no light"):
         etendue.solve_radiosity(Part(room(2)), "boxes", passes=1)
-
-
-def test_the_arguments_of_version_1(caplog):
-    """``hierarchy=`` is translated with a warning."""
-    patches = room(2, emission=1.0, reflectance=0.5)
-    old = etendue.solve_radiosity(patches, passes=1, hierarchy={"objects": "components", "least": 1, "lines": 1 << 10})
-    assert "hierarchy is now method boxes" in caplog.text
-    new = etendue.solve_radiosity(patches, "boxes", passes=1, objects="components", least=1, lines=1 << 10)
-    np.testing.assert_array_equal(old.solution.radiosity, new.solution.radiosity)
-    old = etendue.compute_form_factors(patches, bundles=2, hierarchy="components").factors.matrix
-    new = etendue.compute_form_factors(patches, "spheres", bundles=2, objects="components").factors.matrix
-    np.testing.assert_array_equal(old.toarray(), new.toarray())

@@ -5,10 +5,9 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.tables import FAST_SCENES, thinned
 
 from etendue.core import OptionError, SceneError, UnsupportedError
-from etendue.scene import bundled, bundled_scene, integrator_of, load, locate
+from etendue.scene import bundled_scene, integrator_of, load, locate
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
 LIGHT = '<emitter type="constant"/><shape type="sphere"/>'
@@ -378,21 +377,7 @@ def test_a_scene_of_another_variant(variant):
         load(scene)
 
 
-@pytest.mark.parametrize("name", ["cbox-spheres", "cornell-box", "veach-bidir", "water-caustic"])
-def test_public_scenes(scenes_dir, name):
-    problem = load(scenes_dir / name / "scene.xml", size=(64, 48))
-    assert problem.size == (64, 48) and problem.integrator == "path"
-
-
 def test_many_meshes(scenes_dir):
     problem = load(scenes_dir / "soda-shoppe" / "scene.xml", check=False)
     assert len(problem.scene.shapes()) < 81  # meshes of one material are joined
     assert [e.get_shape().id() for e in problem.scene.emitters()]  # those that emit keep their name
-
-
-@pytest.mark.parametrize("name", thinned(bundled(), FAST_SCENES))
-def test_bundled_scenes_load(name):
-    problem = load(name, size=(32, 24))
-    assert problem.size == (32, 24)
-    assert problem.source == name
-    assert bundled()[name].description

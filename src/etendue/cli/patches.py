@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -12,9 +12,6 @@ from etendue.core import OptionError, logger
 from . import options as opt
 from .console import command_line, error_console
 from .settings import settings_in, with_settings
-
-if TYPE_CHECKING:
-    pass
 
 FactorFiles = Annotated[
     list[Path] | None,

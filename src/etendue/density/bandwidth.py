@@ -114,7 +114,6 @@ class _Pairs:
         keep = squares * self.finest**2 < 80
         self._power, self._squares = power[keep], squares[keep]
         self._own = float(np.sum(samples.weights**2))
-        self._leave_out = samples.weights
 
     def sum(self, width: float) -> float:
         """Sum over all pairs, including each sample with itself."""

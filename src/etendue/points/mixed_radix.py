@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,3 @@ class MixedRadix:
         """(2, d): the corners of a stratum of the unit cube."""
         digits, counts = np.array(self.digits(int(code))), np.array(self.counts)
         return np.stack([digits / counts, (digits + 1) / counts])
-
-    def of_points(self, points: ArrayLike) -> NDArray[np.int64]:
-        """The codes of points (n, d) of the unit cube."""
-        rows, counts = np.asarray(points, np.float64), np.array(self.counts)
-        digits = np.clip((rows * counts).astype(np.int64), 0, counts - 1)
-        return np.asarray(self.code(list(digits.T)))

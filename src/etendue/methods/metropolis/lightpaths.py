@@ -61,7 +61,6 @@ class Independent:
     total: NDArray[np.float64]  #: luminance of the flux at all their ends
     direct: NDArray[np.float64]  #: at their first one
     last: NDArray[np.float64]  #: at the end of the longest that are allowed
-    colour: NDArray[np.float64]  #: (paths, 3), as ``total``
     edges: NDArray[np.uint32]  #: edges up to an end that was picked in proportion to the luminance there
     rays: float
 
@@ -92,7 +91,6 @@ class LightPaths:
             "flux": end.flux,
             "total": mi.Float(direct),
             "last": dr.zeros(mi.Float, n),
-            "colour": mi.Color3f(end.flux),
             "edges": mi.UInt32(1),
             "rays": mi.UInt32(1),
         }
@@ -120,17 +118,15 @@ class LightPaths:
                     "flux": dr.select(survives, flux, 0.0),
                     "total": total,
                     "last": dr.select(number == self.longest, value, 0.0),
-                    "colour": s["colour"] + end.flux,
                     "edges": dr.select(picked, number, s["edges"]),
                     "rays": s["rays"] + 1,
                 },
             )
 
         (s,) = dr.while_loop((start,), going, edge, label="independent light paths")
-        dr.eval(direct, s["total"], s["last"], s["colour"], s["edges"], s["rays"])
+        dr.eval(direct, s["total"], s["last"], s["edges"], s["rays"])
         total, first, last = (np.array(x, np.float64) for x in (s["total"], direct, s["last"]))
-        colour = np.array(dr.ravel(s["colour"]), np.float64).reshape(n, 3)
-        return Independent(total, first, last, colour, np.array(s["edges"], np.uint32), base.total(s["rays"]))
+        return Independent(total, first, last, np.array(s["edges"], np.uint32), base.total(s["rays"]))
 
     def from_independent(self, lanes: mi.UInt32, edges: mi.UInt32, seed: int, role: str, iteration: int) -> PathNumbers:
         """The state of the first ``edges`` edges of the independent paths ``lanes``."""

@@ -44,8 +44,6 @@ ERROR_SCALE = (1e-3, 1.0)
 OWN = "scene"
 #: Suffixes of meshes with vertex colours.
 _COLOURS = (".ply", ".glb", ".gltf")
-#: Names in the metadata of a solution of what it was made by in the end, whatever was asked for.
-_MADE_BY = {"bundles": ("bundles", "passes"), "points": ("points",), "seed": ("seed",), "solver": ("solver",)}
 #: Suffixes of lightmaps and of their meshes.
 _LIGHTMAPS = {".exr": "lightmap"} | LIGHTMAP_MESHES
 #: Smallest size of a lightmap in texels.

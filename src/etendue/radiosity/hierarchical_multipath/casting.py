@@ -120,8 +120,7 @@ def lists(
     them that are part of no solid, else 0; ``reach``: largest distance of two such faces; ``is_interior``: whether
     faces bound a room. Returns ends (k, 2); index of the first crossing of each stretch (k + 1,); crossings (x, 2), the
     regions of children where a line enters and leaves; number of lines through each region (r,), and the sum of their
-    transmittances (r,); regions and the faces hit first behind them (y, 2); numbers of tests of polygons and of boxes
-    of copies; whether a line had too many hits.
+    transmittances (r,); regions and the faces hit first behind them (y, 2); whether a line had too many hits.
     """
     grid, around, up = resolution[0], resolution[1], resolution[2]
     regions = 6 * grid * grid * around * up
@@ -135,7 +134,6 @@ def lists(
     place = np.empty((MOST_HITS, 2), np.int64)
     stack = np.empty(_DEPTH, np.int64)
     inverse, inner_o, inner_d, inner_inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    tests, box_tests = 0, 0
     pairs_exist = coincident.any()
     for line in range(len(origins)):
         o, d = origins[line], directions[line]
@@ -156,9 +154,8 @@ def lists(
             for k in range(links[node, 0], links[node, 0] + links[node, 1]):
                 p = order[k]
                 if hits == MOST_HITS:
-                    return ends[:0], begins[:1], crossings[:0], through, passed, firsts[:0], tests, box_tests, True
+                    return ends[:0], begins[:1], crossings[:0], through, passed, firsts[:0], True
                 if p < len(faces):
-                    tests += 1
                     t = meets(faces[p], normals[p], o, d)
                     if not np.isnan(t):
                         at[hits], what[hits] = t, p
@@ -166,7 +163,6 @@ def lists(
                         leaves[hits] = along > 0
                         hits += 1
                     continue
-                box_tests += 1
                 child = p - len(faces)
                 enter(matrices[child], o, d, inner_o, inner_d)
                 for a in range(3):
@@ -252,8 +248,6 @@ def lists(
         through,
         passed,
         firsts[:seen].copy(),
-        tests,
-        box_tests,
         False,
     )
 

@@ -93,7 +93,7 @@ class Lists:
     patch. For the regions of the own box: ``through`` (r,), the number of lines, and ``hitting`` (r,), the number of
     these that hit something, with fractions from boxes that transmit light. ``child_lines``: (children * r,) lines
     through each region of each child. ``firsts``: (y, 2) region, and the face that a line entering there hits
-    first. ``tests``: numbers of tests of polygons, and of boxes of copies.
+    first.
     """
 
     part: Part
@@ -110,7 +110,6 @@ class Lists:
     child_lines: Index
     child_transmittance: Array
     firsts: NDArray[np.int32]
-    tests: tuple[int, int]
 
     @property
     def nbytes(self) -> int:
@@ -209,7 +208,6 @@ def lists_of(
         child_lines=child_lines,
         child_transmittance=transmittances,
         firsts=np.concatenate([block[5] for block in blocks]),
-        tests=(sum(block[6] for block in blocks), sum(block[7] for block in blocks)),
     )
 
 

@@ -33,15 +33,11 @@ AMBIENT_WALKS, _EDGES, _LEADING = 2048, 10, 3
 @dataclass(frozen=True)
 class AmbientScene:
     """Means by classes of normals. ``direct``: (k, 3) radiosity by light that is reflected once. ``albedo``: (k, 3).
-    ``factors``: (k, k) share of the walks leaving a class that reach another; the rest leaves the scene. ``samples``:
-    number of vertices in the means. ``rays``: rays cast for them."""
+    ``factors``: (k, k) share of the walks leaving a class that reach another; the rest leaves the scene."""
 
-    term: AmbientTerm
     direct: Array
     albedo: Array
     factors: Array
-    samples: int
-    rays: int
 
     def irradiance(self, reflected: int = 1) -> Array:
         """Irradiance (k, 3) by light that was reflected at least ``reflected`` times before it arrives."""
@@ -105,7 +101,7 @@ def ambient_scene(walker: Walker, ray: mi.Ray3f, source: SampleSource, term: Amb
         dr.make_opaque(path, carried)
         carried, found = _edge(path, carried, walker, source)
         edges.append(found)
-    return _means(term, edges, int(np.array(path.rays).sum(dtype=np.int64)))
+    return _means(term, edges)
 
 
 def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSource) -> tuple[mi.Color3f, _Found]:
@@ -132,7 +128,7 @@ def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSour
     return through, _Found(*rows)
 
 
-def _means(term: AmbientTerm, edges: list[_Found], rays: int) -> AmbientScene:
+def _means(term: AmbientTerm, edges: list[_Found]) -> AmbientScene:
     """Means over the vertices of all walks that are used."""
     shape = len(edges), len(edges[0].smooth)
     normals, albedo, direct = (np.stack([getattr(e, name) for e in edges]) for name in ("normal", "albedo", "direct"))
@@ -158,4 +154,4 @@ def _means(term: AmbientTerm, edges: list[_Found], rays: int) -> AmbientScene:
     inverse = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0)
     factors = np.divide(between, left[:, None], out=np.zeros_like(between), where=left[:, None] > 0)
     radiosity, reflectance = (weights.T @ x[used].astype(np.float64) * inverse for x in (np.pi * direct, albedo))
-    return AmbientScene(term, radiosity, reflectance, factors, int(used.sum()), rays)
+    return AmbientScene(radiosity, reflectance, factors)

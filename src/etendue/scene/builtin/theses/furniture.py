@@ -129,10 +129,9 @@ def painting(model: Model, seed: int, at: Vector, turn: Array) -> Dict:
     return rectangle(np.array(at) + corner, along, across, textured(pixels[::-1]))  # v goes up
 
 
-def skirting(model: Model, x: Range, z: Range, back: bool = True) -> None:
+def skirting(model: Model, x: Range, z: Range) -> None:
     """White boards along the side walls and the back wall."""
     for at, side in ((x[0], 1), (x[1], -1)):
         model.add("white", box((0.015, 0.09, z[1] - z[0]), 0.003), (at + side * 0.0085, 0.046, (z[0] + z[1]) / 2))
-    if back:
-        width = x[1] - x[0] - 0.04
-        model.add("white", box((width, 0.09, 0.015), 0.003), ((x[0] + x[1]) / 2, 0.046, z[0] + 0.0085))
+    width = x[1] - x[0] - 0.04
+    model.add("white", box((width, 0.09, 0.015), 0.003), ((x[0] + x[1]) / 2, 0.046, z[0] + 0.0085))
