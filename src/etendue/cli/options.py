@@ -194,6 +194,15 @@ PictureSize = Annotated[
     Size | None, typer.Option("--size", help="Size of the picture.", parser=parse_size, metavar="WxH")
 ]
 Sensor = Annotated[int, typer.Option("--sensor", help="Index of the scene's sensor, from 0.", metavar="I")]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        "--method",
+        "-m",
+        help="See `etendue methods`; by default auto, or the scene's integrator if it is one of them but path.",
+        metavar="NAME",
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", help="The same seed gives the same picture.", metavar="N")]
 Variant = Annotated[
     str | None,

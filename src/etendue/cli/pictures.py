@@ -29,15 +29,7 @@ PictureCommand = with_settings(_methods)
 
 def render(
     scene: opt.Scene,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            "--method",
-            "-m",
-            help="See `etendue methods`; by default auto, or the scene's integrator if it is one of them but path.",
-            metavar="NAME",
-        ),
-    ] = None,
+    method: opt.Method = None,
     output: opt.Output = None,
     time: opt.Time = None,
     spp: opt.Spp = None,

@@ -15,7 +15,7 @@ from etendue.core import Array, logger
 from .builtin.table import BundledScene
 from .graph import below, contents, describe, plugin_name
 from .lamps.environments import instantiated
-from .parsing import MESH_PLUGINS, merge_meshes, read_properties
+from .parsing import MESH_PLUGINS, merge_meshes, nodes_below, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def _obstacle(state: mi.parser.ParserState, scene: mi.Scene) -> str | None:
     """Why a parsed scene cannot be moved, ``None`` if it can; ``scene`` is the scene built from it."""
     import mitsuba as mi
 
-    inside = _shapes_of_groups(state)
+    inside = _in_groups(state)
     for index, node in enumerate(state.nodes):
         kind = node.props.plugin_name()
         if node.type == mi.ObjectType.Shape and index not in inside and kind not in (*_SHAPES, *_GROUPS):
@@ -95,7 +95,7 @@ def _move(state: mi.parser.ParserState, space: RenderSpace, scene: mi.Scene) -> 
         texture = dict(contents(lamp).objects)["intensity"]
         value = np.asarray(texture.eval(dr.zeros(mi.SurfaceInteraction3f)), dtype=float).ravel()
         node.props["intensity"] = mi.ScalarColor3d(*(square * value))
-    inside = _shapes_of_groups(state)
+    inside = _in_groups(state)
     for index, node in enumerate(state.nodes):
         props = node.props
         match props.plugin_name():
@@ -192,18 +192,9 @@ def _translation(offset: ArrayLike) -> Array:
     return matrix
 
 
-def _shapes_of_groups(state: mi.parser.ParserState) -> set[int]:
+def _in_groups(state: mi.parser.ParserState) -> set[int]:
     """Indices of the nodes below shape groups."""
-    import mitsuba as mi
-
-    found: set[int] = set()
-    stack = [i for i, node in enumerate(state.nodes) if node.props.plugin_name() == "shapegroup"]
-    while stack:
-        for value in read_properties(state.nodes[stack.pop()].props).values():
-            if isinstance(value, mi.Properties.ResolvedReference) and value.index() not in found:
-                found.add(value.index())
-                stack.append(value.index())
-    return found
+    return nodes_below(state, (node for node in state.nodes if node.props.plugin_name() == "shapegroup"))
 
 
 def _lamp_nodes(state: mi.parser.ParserState) -> Iterator[mi.parser.SceneNode]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError
@@ -193,6 +193,19 @@ def _has_endpoint(shape: mi.parser.SceneNode, state: mi.parser.ParserState) -> b
 def read_properties(props: mi.Properties) -> dict[str, Any]:
     """The properties of a node, read without marking them as used, because Mitsuba reports unused ones as misspelt."""
     return {key: read_property(props, key) for key in props.keys()}  # noqa: SIM118
+
+
+def nodes_below(state: mi.parser.ParserState, starts: Iterable[mi.parser.SceneNode]) -> set[int]:
+    """Indices of the nodes below those that are given."""
+    import mitsuba as mi
+
+    stack, found = list(starts), set[int]()
+    while stack:
+        for value in read_properties(stack.pop().props).values():
+            if isinstance(value, mi.Properties.ResolvedReference) and value.index() not in found:
+                found.add(value.index())
+                stack.append(state.nodes[value.index()])
+    return found
 
 
 def read_property(props: mi.Properties, key: str) -> Any:

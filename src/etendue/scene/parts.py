@@ -14,7 +14,7 @@ from etendue.core import Array, SceneError, UnsupportedError, use_variant
 from .changes.transforms import settle_transforms
 from .lamps.environments import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
-from .parsing import keep_shapes, name_shapes, read_properties, take_integrator
+from .parsing import keep_shapes, name_shapes, nodes_below, read_properties, take_integrator
 from .portable import PortableScene
 from .problem import Problem
 
@@ -63,7 +63,7 @@ def part_files(
     *_, whole = _parsed(source, parameters)
     *_, part = _parsed(source, parameters)
     keep_shapes(part, shapes)
-    reached = _reached(part)
+    reached = nodes_below(part, [part.root])
     every = [_texts(node) for node in whole.nodes]
     needed = set().union(*(every[k] for k in reached))
     dropped = {Path(text).name for text in set().union(*every) - needed}
@@ -78,19 +78,6 @@ def _parsed(source: Source, parameters: Mapping[str, Any] | None) -> Any:
     parsed = _parse(found, parameters)
     name_shapes(parsed[-1])
     return parsed
-
-
-def _reached(state: Any) -> set[int]:
-    """Numbers of the nodes below the root."""
-    import mitsuba as mi
-
-    stack, reached = [state.root], set[int]()
-    while stack:
-        for value in read_properties(stack.pop().props).values():
-            if isinstance(value, mi.Properties.ResolvedReference) and value.index() not in reached:
-                reached.add(value.index())
-                stack.append(state.nodes[value.index()])
-    return reached
 
 
 def _texts(node: Any) -> set[str]:

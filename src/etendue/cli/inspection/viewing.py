@@ -23,15 +23,7 @@ def view(
     scene: Annotated[
         str, typer.Argument(help="Mitsuba XML, a bundled scene, or a picture (.exr, .png ...).", metavar="SCENE")
     ],
-    method: Annotated[
-        str | None,
-        typer.Option(
-            "--method",
-            "-m",
-            help="See `etendue methods`; by default auto, or the scene's integrator if it is one of them but path.",
-            metavar="NAME",
-        ),
-    ] = None,
+    method: opt.Method = None,
     define: opt.Define = None,
     size: opt.PictureSize = None,
     sensor: opt.Sensor = 0,
