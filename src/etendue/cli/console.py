@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Sequence
 from contextvars import ContextVar
-from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
@@ -102,9 +101,7 @@ class ProgressView:
             self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -152,9 +149,7 @@ class Steps:
             self._status.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._status.stop()
 
     def update(self, text: str) -> None:

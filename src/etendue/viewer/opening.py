@@ -6,7 +6,6 @@ import atexit
 import webbrowser
 from collections.abc import Iterable
 from html import escape
-from types import TracebackType
 from typing import Self
 
 from etendue import methods
@@ -103,9 +102,7 @@ class Viewer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
