@@ -55,7 +55,6 @@ from .progress import (
     format_number as format_number,
     format_rate as format_rate,
     format_seconds as format_seconds,
-    format_shares as format_shares,
 )
 from .records import PassKey as PassKey, Record as Record, RecordFile as RecordFile
 from .reprs import short_repr as short_repr

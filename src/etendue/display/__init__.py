@@ -1,6 +1,6 @@
 """Display: denoising, tone curves, PNG, tev, convergence plots, projections of points, pages of runs."""
 
-from .colours import css_gradient as css_gradient, false_colour as false_colour
+from .colours import false_colour as false_colour
 from .curves import CURVES as CURVES, ToneCurve as ToneCurve
 from .denoising import (
     DENOISERS as DENOISERS,
@@ -12,7 +12,7 @@ from .denoising import (
 )
 from .develop import develop as develop
 from .meshes import MeshView as MeshView, mesh_picture as mesh_picture
-from .pages import asset_text as asset_text, page as page
+from .pages import page as page
 from .plots import Series as Series, convergence_plot as convergence_plot
 from .png import encode_png as encode_png, write_png as write_png
 from .report import (

@@ -8,7 +8,7 @@ from .fitting import fit_samples as fit_samples, settle_samples as settle_sample
 from .job import Job as Job, Source as Source, Task as Task, remaining as remaining, versions as versions
 from .product import Product as Product, silent as silent
 from .recordfiles import check_records as check_records
-from .replicas import Replicated as Replicated, replica_seed as replica_seed, replicated as replicated
+from .replicas import Replicated as Replicated, replica_seed as replica_seed
 from .runner import Cancelled as Cancelled, RunError as RunError, Runner as Runner, RunResult as RunResult
 from .saving import check_period as check_period, check_save_times as check_save_times
 from .session import Session as Session, jit_flags as jit_flags, set_jit_flags as set_jit_flags

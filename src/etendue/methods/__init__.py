@@ -29,7 +29,6 @@ from .photon.hits import photon_hits as photon_hits
 from .photon.map import Pm as Pm
 from .photon.progressive import Ppm as Ppm, Sppm as Sppm
 from .rays import (
-    MOST_RECORDED as MOST_RECORDED,
     LightRays as LightRays,
     ShowsRays as ShowsRays,
     rays_through as rays_through,

@@ -1,10 +1,10 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
-from .boxes import RECORD_WORDS as RECORD_WORDS, BoxGrid as BoxGrid, BoxWalk as BoxWalk
+from .boxes import BoxGrid as BoxGrid, BoxWalk as BoxWalk
 from .errors import ParticleError as ParticleError
 from .files import ParticleFile as ParticleFile, is_particle_file as is_particle_file
 from .layouts import RECORDS as RECORDS, merged as merged, of_strips as of_strips, records as records, strips as strips
-from .packing.codecs import LAYOUTS as LAYOUTS, Codec as Codec, decode as decode, encode as encode
+from .packing.codecs import Codec as Codec, decode as decode, encode as encode
 from .packing.coders import coder as coder, coder_names as coder_names
 from .packing.grid import Grid as Grid
 from .particles import (

@@ -74,7 +74,6 @@ from .files.results import (
 )
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
 from .hierarchical_factors.allocation import (
-    MAIN_SHARE as MAIN_SHARE,
     allocated as allocated,
     area_shares as area_shares,
     least_error_shares as least_error_shares,
@@ -114,7 +113,6 @@ from .lines.chained import ChainedRays as ChainedRays
 from .lines.engine import LineEngine as LineEngine
 from .lines.generators import (
     GENERATORS as GENERATORS,
-    SINGLE_LINES as SINGLE_LINES,
     BoxWalls as BoxWalls,
     Bundles as Bundles,
     GreatCircle as GreatCircle,
@@ -125,10 +123,8 @@ from .lines.generators import (
 from .lines.local import LocalRays as LocalRays
 from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as with_local_rays
 from .lines.segments import Segments as Segments
-from .lines.sequences import LINE_POINTS as LINE_POINTS
 from .lines.spiral import SpiralPoints as SpiralPoints
 from .problem import PatchProblem as PatchProblem
-from .solvers.absorption import check_absorption as check_absorption
 from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles
 from .solvers.multipath_passes import MultipathPasses as MultipathPasses, MultipathSettings as MultipathSettings
 from .solvers.particles import (
@@ -152,7 +148,6 @@ from .solvers.system import (
 )
 from .solvers.values import check_colours as check_colours, radiosity_on as radiosity_on
 from .sources import (
-    GROUPINGS as GROUPINGS,
     PartSource as PartSource,
     PatchSource as PatchSource,
     part_ingredients as part_ingredients,

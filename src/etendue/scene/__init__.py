@@ -9,7 +9,6 @@ from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as Sc
 from .changes.watching import Parameters as Parameters, parameters as parameters, view as view
 from .editing import (
     LightEdits as LightEdits,
-    add_plugin as add_plugin,
     colour as colour,
     described_lights as described_lights,
     is_described as is_described,
@@ -36,7 +35,6 @@ from .lamps.rays import own_ray as own_ray
 from .lamps.table import Light as Light, LightTable as LightTable
 from .loading import (
     Source as Source,
-    checked_size as checked_size,
     described as described,
     integrator_of as integrator_of,
     load as load,
@@ -46,7 +44,7 @@ from .members import Material as Material, Members as Members, bsdfs as bsdfs, e
 from .meshes import box as box, joined as joined
 from .models.reading import emits as emits
 from .parsing import Change as Change, is_sensor as is_sensor
-from .parts import load_part as load_part, part_files as part_files, shape_boxes as shape_boxes, unmerged as unmerged
+from .parts import load_part as load_part, shape_boxes as shape_boxes, unmerged as unmerged
 from .plugins import composed_bsdf as composed_bsdf, register as register
 from .portable import PortableScene as PortableScene, portable as portable, restored as restored
 from .problem import Problem as Problem

@@ -4,7 +4,6 @@ from etendue.scene import box as box, joined as joined
 
 from .ambient import (
     AMBIENT_TERMS as AMBIENT_TERMS,
-    CLASS_NORMALS as CLASS_NORMALS,
     AmbientTerm as AmbientTerm,
     class_factors as class_factors,
     class_light as class_light,
@@ -27,7 +26,6 @@ from .lightmaps.atlases import (
     TexturedMesh as TexturedMesh,
     atlas as atlas,
     gltf_mesh as gltf_mesh,
-    mesh_normals as mesh_normals,
     save_textured_mesh as save_textured_mesh,
     scene_mesh as scene_mesh,
 )

@@ -59,8 +59,6 @@ from .guiding.connections import (
 )
 from .guiding.emission import (
     EmissionGuide as EmissionGuide,
-    EmissionSums as EmissionSums,
-    EmissionTraining as EmissionTraining,
 )
 from .guiding.guide import (
     FITS as FITS,
@@ -80,7 +78,7 @@ from .guiding.learning import (
     LearnedEmission as LearnedEmission,
     learned_emission as learned_emission,
 )
-from .guiding.lights import MOST_LIGHTS as MOST_LIGHTS, LightChoice as LightChoice, LocalLights as LocalLights
+from .guiding.lights import LightChoice as LightChoice, LocalLights as LocalLights
 from .guiding.walk import (
     FOUND_UNITS as FOUND_UNITS,
     GuidedPath as GuidedPath,
@@ -130,7 +128,7 @@ from .schemes.numbers import (
     UniformLights as UniformLights,
 )
 from .schemes.strata import EMISSION as EMISSION, FIRST_BOUNCE as FIRST_BOUNCE, StratifiedSource as StratifiedSource
-from .vertex import Joined as Joined, Vertex as Vertex, WalkVertex as WalkVertex
+from .vertex import Vertex as Vertex, WalkVertex as WalkVertex
 from .visibility import Visibility as Visibility
 from .walk import (
     CameraPath as CameraPath,

@@ -2,7 +2,7 @@
 
 from .base import PatchProduct as PatchProduct
 from .factors import FormFactorProduct as FormFactorProduct
-from .gathering import PICTURE_FILES as PICTURE_FILES, picture as picture
+from .gathering import picture as picture
 from .saved import write_saved as write_saved
 from .solution_files import (
     ERROR_SCALE as ERROR_SCALE,
