@@ -191,3 +191,11 @@ def test_the_benchmark_of_denoisers_goes_on_where_it_was_stopped(monkeypatch, tm
     monkeypatch.setattr(denoised, "_rendered", None)  # nothing is rendered again
     (again,) = denoised.measure(**asked, only_reference=False)
     assert again.rows == first.rows
+
+
+def test_tables_of_a_gpu_stand_beside_those_of_a_cpu(tmp_path):
+    measuring, results = module("measuring"), tmp_path / "RESULTS.md"
+    for variant in ("llvm_ad_rgb", "cuda_ad_rgb", "cuda_ad_rgb", "llvm_ad_rgb"):
+        measuring.Record("Table", ("", "a"), [("vcm", "1.0")]).publish(variant, results)
+    titles = [line for line in results.read_text("utf-8").splitlines() if line.startswith("## ")]
+    assert [", on a GPU, " in title for title in titles] == [True, False]

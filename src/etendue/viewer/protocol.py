@@ -27,7 +27,7 @@ Page to session:
 ``PANEL.verb``      for the panel of that name, see :class:`etendue.viewer.panels.Panel`
 ==================  ====================================================================================================
 
-ViewerSession to page:
+Session to page:
 
 ==================  ====================================================================================================
 ``about``           the available choices, and the panels' modules; the first message
