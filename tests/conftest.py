@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import etendue
-from etendue.core import choose_variant, use_variant
+from etendue.core import choose_variant, set_threads, threads_for_files, use_variant
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = ROOT.parent / "shared" / "scenes"
@@ -55,12 +55,22 @@ def _keep_part(config: pytest.Config, items: list[pytest.Item]) -> None:
 def variant() -> str:
     """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""
     name = use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    # More threads than cores wait for each other: with two of each worker on two cores, tests took half as long again.
+    set_threads(max(1, (os.cpu_count() or 1) // workers))
     # The tests and all modules stay: the collection of garbage after each test need not look at them again.
     for module in pkgutil.walk_packages(etendue.__path__, "etendue."):
         importlib.import_module(module.name)
     gc.collect()
     gc.freeze()
     return name
+
+
+@pytest.fixture
+def mitsuba_files() -> Iterator[None]:
+    """For tests in which Mitsuba itself reads or writes files of OpenEXR: with one thread it would wait for ever."""
+    with threads_for_files():
+        yield
 
 
 @pytest.fixture

@@ -75,6 +75,7 @@ def test_pictures_of_other_programs(tmp_path, beside, layers):
     np.testing.assert_array_equal(read_image(tmp_path / "other.exr"), np.stack([channels[n] for n in "RGB"], axis=-1))
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_other_programs_see_the_picture_and_the_layers(variant, tmp_path):
     import mitsuba as mi
 

@@ -27,6 +27,7 @@ def _xyz(picture: mi.Bitmap) -> np.ndarray:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("mitsuba_files")
 @pytest.mark.parametrize("method", ["own", "bpt", "vcm"])
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_mitsuba_s_references(file: Path, method: str) -> None:

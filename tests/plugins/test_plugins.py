@@ -69,6 +69,7 @@ def test_a_plugin_renders_what_mitsuba_does(name, reference):
     np.testing.assert_allclose(a, b, rtol=0.25, atol=0.03)
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_the_film_holds_the_picture(tmp_path):
     scene = mi.load_dict(box({"type": "bpt", "max_depth": 3}))
     picture = np.array(mi.render(scene, spp=4, seed=1))
@@ -154,6 +155,7 @@ def test_first_hit_channels():
     assert np.linalg.norm(picture[..., 6:9], axis=-1).max() == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 @pytest.mark.parametrize(
     ("settings", "parts"),
     [
@@ -186,6 +188,7 @@ def test_layers_are_channels_of_the_film(settings, parts, tmp_path):
     )
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_further_radii_are_channels_of_the_film(tmp_path):
     scene = mi.load_dict(box({"type": "vcm", "max_depth": 3, "radii": "0.5,2"}, size=8))
     assert mi.render(scene, spp=1).shape == (8, 8, 9)

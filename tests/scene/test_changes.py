@@ -200,6 +200,7 @@ def test_an_added_light_does_not_replace_one_of_the_file(tmp_path: Path) -> None
         assert "added-light-2.position" in {p.key for p in SceneEditor(edited.scene).list()}
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_a_texture_by_file(tmp_path: Path) -> None:
     """The picture of a texture in a changed scene is that of a scene with the other file; and of a sky."""
     scene = room()

@@ -1,11 +1,15 @@
 """Environment maps lit in few texels: next event estimation finds all of their light."""
 
+import subprocess
+import sys
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue.core import UnsupportedError
+from etendue.core import Result, UnsupportedError
+from etendue.film import write_exr
 from etendue.scene import load
 
 LIT = {
@@ -73,3 +77,17 @@ def test_objects_of_the_caller_are_not_changed():
             given["sky"] = mi.load_dict(given["sky"])
         with pytest.raises(UnsupportedError, match=r"emitter 'sky' .*first or last row"):
             load(given)
+
+
+def test_a_file_is_read_with_one_thread(tmp_path):
+    """Mitsuba waits for ever for threads that read OpenEXR if there is but one; and as many are left as before."""
+    write_exr(tmp_path / "sky.exr", Result({"image": np.ones((64, 128, 3), np.float32)}))
+    code = """
+import sys; from etendue.core import set_threads, use_variant; from etendue.scene import load
+use_variant(); set_threads(1); import drjit as dr
+sky = {"type": "envmap", "filename": sys.argv[1]}
+load({"type": "scene", "sensor": {"type": "perspective"}, "ball": {"type": "sphere"}, "sky": sky})
+print(dr.thread_count())
+"""
+    command = [sys.executable, "-c", code, str(tmp_path / "sky.exr")]
+    assert subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout == "1\n"

@@ -12,6 +12,8 @@ import pytest
 from etendue.core import SceneError
 from etendue.scene import PortableScene, load, portable, restored
 
+pytestmark = pytest.mark.usefixtures("mitsuba_files")
+
 
 def moved(source, folder, parameters=None, gone=()):
     """The scene of ``source``, loaded from a copy elsewhere when the folders ``gone`` are; and what was sent."""

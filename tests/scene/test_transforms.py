@@ -153,6 +153,7 @@ def test_rounded_numbers_are_accepted(tmp_path):
             assert np.allclose(both, np.eye(4), atol=1e-5)
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_scenes_in_xml(tmp_path):
     turn = '<rotate x="1" y="1" angle="50"/>'
     text = """<scene version="3.0.0"><sensor type="perspective"/><shape type="sphere"/><emitter type="envmap" id="sky">

@@ -155,6 +155,7 @@ def test_files(tmp_path):
     ]
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_mitsuba_shows_the_lightmap_on_the_mesh(tmp_path):
     """As light of the `.obj`, textured by the `.exr`: the picture is that of the solution."""
     pytest.importorskip("xatlas")

@@ -8,6 +8,7 @@ from .backend import (
     lower_priority as lower_priority,
     on_device as on_device,
     set_threads as set_threads,
+    threads_for_files as threads_for_files,
     use_variant as use_variant,
     uses_cuda as uses_cuda,
 )

@@ -11,6 +11,8 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -186,6 +188,22 @@ def set_threads(count: int | None) -> None:
     if not is_whole(count) or not 1 <= count <= 1024:
         raise OptionError(f"the number of threads must be a whole number from 1 to 1024, not {count!r}")
     dr.set_thread_count(int(count))
+
+
+@contextmanager
+def threads_for_files() -> Iterator[None]:
+    """At least two threads of Dr.Jit, while Mitsuba reads or writes a file of OpenEXR: with one it waits for ever."""
+    import drjit as dr
+
+    count = dr.thread_count()
+    if count >= 2:
+        yield
+        return
+    dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(count)
 
 
 def lower_priority() -> None:

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from etendue.core import OptionError, SceneError, use_variant
+from etendue.core import OptionError, SceneError, threads_for_files, use_variant
 from etendue.film import replacing
 
 from .builtin.table import BundledScene
@@ -209,7 +209,8 @@ def _write_bitmap(bitmap: mi.Bitmap, is_raw: bool, path: Path) -> None:
     own = mi.Bitmap(bitmap)
     if is_raw:
         own.set_srgb_gamma(False)
-    own.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False).write(str(path))
+    with threads_for_files():
+        own.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False).write(str(path))
 
 
 def _in(folder: Path | None, name: str, what: str) -> Path:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from etendue.core import threads_for_files
+
 from ..graph import plugin_name
 from ..parsing import read_properties
 
@@ -27,7 +29,8 @@ def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -
     import mitsuba as mi
 
     given = [value for value in read_properties(state.root.props).values() if isinstance(value, mi.Emitter)]
-    scene = mi.parser.instantiate(config, state)
+    with threads_for_files():
+        scene = mi.parser.instantiate(config, state)
     for emitter in scene.emitters():
         if plugin_name(emitter) == "envmap" and emitter not in given and _steepness(emitter) > _GOOD:
             _double(emitter)
