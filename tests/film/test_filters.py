@@ -2,6 +2,7 @@
 
 from functools import cache, lru_cache
 
+import drjit as dr
 import numpy as np
 import pytest
 from support.tables import crossed
@@ -104,8 +105,9 @@ def taps_image(mi, pixel_filter, width, height, samples):
     s1, s2 = lattice(samples, 2, seed=2)
     x, y = s1 * np.float32(width), s2 * np.float32(height)
     value = radiance(x.astype(np.float64), y.astype(np.float64))
-    image = np.zeros(width * height)
-    for index, weight, valid in pixel_filter.taps(mi.Float(x), mi.Float(y)):
+    image, taps = np.zeros(width * height), list(pixel_filter.taps(mi.Float(x), mi.Float(y)))
+    dr.eval(taps)  # in one kernel
+    for index, weight, valid in taps:
         shares = value * weight.numpy() * valid.numpy()
         image += np.bincount(index.numpy() * valid.numpy(), weights=shares, minlength=width * height)
     return image.reshape(height, width) * (width * height / samples)
@@ -327,8 +329,6 @@ def test_inversion_is_monotone_and_reaches_the_whole_support(mi):
 
 
 def test_works_inside_a_symbolic_loop(mi):
-    import drjit as dr
-
     from etendue.film import PixelFilter
 
     sampler = PixelFilter(make_filter(mi, "mitchell"), 6, 4)
@@ -400,7 +400,9 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
         sums = [np.bincount(index.numpy(), weights=value[:, k], minlength=width * height) for k in range(3)]
         splat.append(np.stack(sums, axis=-1).reshape(height, width, 3) / spp)
         value, image = seen(x, y), np.zeros((3, width * height))
-        for index, weight, valid in sampler.taps(x, y):
+        every = list(sampler.taps(x, y))
+        dr.eval(every)
+        for index, weight, valid in every:
             share, place = weight.numpy() * valid.numpy(), index.numpy() * valid.numpy()
             image += [np.bincount(place, weights=value[:, k] * share, minlength=width * height) for k in range(3)]
         taps.append(image.T.reshape(height, width, 3) / spp)

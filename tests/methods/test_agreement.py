@@ -29,7 +29,6 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "guided": ("guided", {"cell_samples": 500}),
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
-    "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
 }
 #: Methods whose passes depend on each other: independent runs have the variance.
 DEPENDENT = ("auto", "guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
@@ -42,6 +41,7 @@ MORE = {
     "path power": ("path", {"heuristic": "power"}),
     "bpt counts": ("bpt", {"connections": 3, "next_events": 2, "light_paths": 0.5}),
     "vegas one path": ("vegas", {"one_path": True, "groups": "film; light; bounce", "learning": "stratified"}),
+    "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
     "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
     "auto": ("auto", {"radius": 0.001}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),

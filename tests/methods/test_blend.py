@@ -79,7 +79,7 @@ def test_the_better_estimator_has_the_larger_weight():
 def test_chains_that_stay_where_they_are_lose_no_light():
     """A tenth of the light is in the upper half of the film. Groups of chains are there a tenth of the time, and stay
     long. If weights followed the chains that they are for, they would keep least of what these have not found."""
-    rng, side, passes, runs, share = np.random.default_rng(3), 48, 60, 150, 0.1
+    rng, side, passes, runs, share = np.random.default_rng(3), 16, 60, 150, 0.1
     grid, factors, found = Grid(2, side), np.ones((side, 2)), []
     is_upper = np.arange(side)[:, None, None] < side // 2
     for _ in range(runs):
