@@ -77,14 +77,14 @@ def test_names_of_outputs_come_from_scene_and_method(folder, capsys):
 
 def test_an_error_is_a_relative_standard_error_everywhere(folder, capsys):
     """In Python, by the command and in a run file, where the budget in paths also has its name of version 1."""
-    made = etendue.render("cornell-box", "path", error=0.03, size=(16, 12), samples_per_pass=8)
-    assert made.metadata["stopped_by"] == "error" and 0.02 < made.metadata["error"] <= 0.03
+    made = etendue.render("cornell-box", "path", error=0.02, size=(16, 12), samples_per_pass=8)
+    assert made.metadata["stopped_by"] == "error" and 0.017 < made.metadata["error"] <= 0.02
     assert made.layers.keys() == {"image"} and made.metadata["samples"] > 16 * 8
-    assert run("render cornell-box -m path --error 0.03 --size 16x12 --samples-per-pass 8 -o a.exr") == 0
+    assert run("render cornell-box -m path --error 0.02 --size 16x12 --samples-per-pass 8 -o a.exr") == 0
     assert f"error {made.metadata['error']:.2g}" in capsys.readouterr().err
     head = '[scene]\nbundled = "cornell-box"\nsize = [16, 12]\n[method]\nname = "path"\n'
     head += "settings = {samples_per_pass = 8}\n"
-    Path("b.toml").write_text(f"{head}[budget]\nerror = 0.03\n")
+    Path("b.toml").write_text(f"{head}[budget]\nerror = 0.02\n")
     Path("c.toml").write_text(f"{head}[budget]\nsamples = {made.metadata['samples']}\n")
     assert run("run b.toml") == run("run c.toml") == 0
     for name in "abc":
