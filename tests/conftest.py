@@ -51,13 +51,16 @@ def _keep_part(config: pytest.Config, items: list[pytest.Item]) -> None:
     items[:] = kept
 
 
+def _threads() -> int:
+    """This worker's share of the cores: with two threads each, two workers on two cores took half as long again."""
+    return max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def variant() -> str:
     """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""
     name = use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    # More threads than cores wait for each other: with two of each worker on two cores, tests took half as long again.
-    set_threads(max(1, (os.cpu_count() or 1) // workers))
+    set_threads(_threads())
     # The tests and all modules stay: the collection of garbage after each test need not look at them again.
     for module in pkgutil.walk_packages(etendue.__path__, "etendue."):
         importlib.import_module(module.name)
@@ -93,10 +96,12 @@ def _tidy_drjit(variant: str, request: pytest.FixtureRequest) -> Iterator[None]:
         if hasattr(value, "cache_clear"):
             value.cache_clear()
     gc.collect()
+    gc.freeze()  # what files leave behind stays, and would be looked at after every test of those that follow
     dr.sync_thread()
     dr.flush_kernel_cache()
     dr.flush_malloc_cache()
     dr.kernel_history_clear()
+    set_threads(_threads())
 
 
 @pytest.fixture(autouse=True)

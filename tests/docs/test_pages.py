@@ -103,6 +103,7 @@ def short(function):
 EXAMPLES = [(page, n) for page in PAGES for n in range(len(_EXAMPLE.findall(page.read_text("utf-8"))))]
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 @pytest.mark.parametrize(("page", "number"), EXAMPLES, ids=lambda v: relative(v) if isinstance(v, Path) else str(v))
 def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     monkeypatch.setattr(etendue, "render", short(etendue.render))
