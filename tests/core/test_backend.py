@@ -7,19 +7,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from etendue.core import (
     BackendError,
-    OptionError,
     backend,
     choose_variant,
     llvm,
     on_device,
-    set_threads,
     use_variant,
 )
 
@@ -197,20 +194,6 @@ def test_cuda_is_the_default_where_it_is_usable(monkeypatch):
 def test_cuda_runs_a_kernel():
     code = "from etendue.core import use_variant; use_variant('cuda_ad_rgb'); import drjit as dr, mitsuba as mi;"
     assert python(code + "print(dr.sum(dr.arange(mi.Float, 5)))").stdout.strip() == "[10]"
-
-
-def test_threads():
-    before = dr.thread_count()
-    try:
-        set_threads(1)
-        assert dr.thread_count() == 1
-        set_threads(None)
-        assert dr.thread_count() == 1
-    finally:
-        dr.set_thread_count(before)
-    for bad in (0, -2, 1.5, "four", True):
-        with pytest.raises(OptionError, match="number of threads"):
-            set_threads(bad)
 
 
 def test_a_library_that_mitsuba_lacks_is_named():

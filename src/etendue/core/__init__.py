@@ -7,8 +7,6 @@ from .backend import (
     copied_to_device as copied_to_device,
     lower_priority as lower_priority,
     on_device as on_device,
-    set_threads as set_threads,
-    threads_for_files as threads_for_files,
     use_variant as use_variant,
     uses_cuda as uses_cuda,
 )
@@ -74,5 +72,11 @@ from .settings import (
     is_number as is_number,
     is_whole as is_whole,
     setting as setting,
+)
+from .threads import (
+    in_order as in_order,
+    set_threads as set_threads,
+    threads as threads,
+    threads_for_files as threads_for_files,
 )
 from .version import VERSION as VERSION

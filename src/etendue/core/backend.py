@@ -11,17 +11,14 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import llvm
-from .errors import BackendError, OptionError
+from .errors import BackendError
 from .log import logger
-from .settings import is_whole
 
 if TYPE_CHECKING:
     import drjit as dr
@@ -176,34 +173,6 @@ def use_variant(requested: str | None = None) -> str:
     if chosen != current:
         mi.set_variant(chosen)
     return chosen
-
-
-def set_threads(count: int | None) -> None:
-    """Set the number of CPU threads of Dr.Jit; ``None`` does not change it. Raises :class:`OptionError` if it is not 1
-    to 1024."""
-    import drjit as dr
-
-    if count is None:
-        return
-    if not is_whole(count) or not 1 <= count <= 1024:
-        raise OptionError(f"the number of threads must be a whole number from 1 to 1024, not {count!r}")
-    dr.set_thread_count(int(count))
-
-
-@contextmanager
-def threads_for_files() -> Iterator[None]:
-    """At least two threads of Dr.Jit, while Mitsuba reads or writes a file of OpenEXR: with one it waits for ever."""
-    import drjit as dr
-
-    count = dr.thread_count()
-    if count >= 2:
-        yield
-        return
-    dr.set_thread_count(2)
-    try:
-        yield
-    finally:
-        dr.set_thread_count(count)
 
 
 def lower_priority() -> None:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, BinaryIO, TypeVar
 
-import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, InNotebooks, checked_path, logger, suggest
+from etendue.core import Array, InNotebooks, checked_path, in_order, logger, suggest
 from etendue.scene import Problem
 
 from . import blocks
@@ -262,20 +259,3 @@ def _selected(rows: Rows, wanted: NDArray[np.uint32] | None, corners: Array | No
         position = rows[:, columns_of("position")].view(np.float32)
         keep &= ((position >= corners[0]) & (position <= corners[1])).all(1)
     return rows if keep.all() else rows[keep]
-
-
-def in_order(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
-    """Results of tasks that run in as many threads as Dr.Jit has, in their order; a few run ahead."""
-    count = max(int(dr.thread_count()), 1)
-    waiting: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(count, thread_name_prefix="particles") as pool:
-        try:
-            for task in tasks:
-                waiting.append(pool.submit(task))
-                if len(waiting) > 2 * count:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from etendue.core import OutputError, logger
+from etendue.core import OutputError, in_order, logger
 
 from . import blocks
 from .blocks import Block
-from .files import ParticleFile, PathLike, in_order
+from .files import ParticleFile, PathLike
 from .packing.codecs import Codec, encode
 from .packing.grid import Grid
 from .particles import Rows

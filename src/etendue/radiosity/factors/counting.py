@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, sparse
 
+from ..compiling import compiled
 from ..lines.segments import Pairs
-from ..parallel import compiled
 
 if TYPE_CHECKING:
     import scipy.sparse

@@ -7,11 +7,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, free_memory, sparse
+from etendue.core import Array, free_memory, in_order, sparse, threads
 from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 
+from ..compiling import compiled
 from ..errors import RadiosityError
-from ..parallel import compiled, in_order, threads
 from .formfactors import FormFactors, numbers_of
 
 Index = NDArray[np.int64]

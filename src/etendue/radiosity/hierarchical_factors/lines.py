@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array
+from etendue.core import Array, in_order
 from etendue.points import PointSet
 from etendue.surfaces import RayScene
 
+from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.abuffer import ABuffer
 from ..lines.chained import ChainedRays
 from ..lines.engine import LineEngine
 from ..lines.generators import Bundles, Lines, SpherePairs
 from ..lines.segments import Pairs
-from ..parallel import compiled, in_order
 from .segments import marked
 from .tree import SphereTree
 

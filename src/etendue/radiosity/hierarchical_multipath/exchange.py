@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array
+from etendue.core import Array, in_order, threads
 
-from ..parallel import compiled, in_order, threads
+from ..compiling import compiled
 from .light import Light, Shot
 from .lists import Lists
 from .parts import Part, Tree

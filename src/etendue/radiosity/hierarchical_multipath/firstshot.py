@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array
+from etendue.core import Array, in_order
 from etendue.points import PointSet
 from etendue.surfaces import Sides
 
+from ..compiling import compiled
 from ..errors import RadiosityError
-from ..parallel import compiled, in_order
 from .light import Light, Shot
 from .lists import PartRays
 from .parts import Part, Tree

@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array
+from etendue.core import Array, in_order
 from etendue.points import PointSet
 from etendue.surfaces import REACH_OF_PAIRS, box_tree, is_interior
 
+from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.generators import GENERATORS, BoxWalls, LineGenerator, box_lines
-from ..parallel import compiled, in_order
 from .parts import Part
 from .regions import Regions
 

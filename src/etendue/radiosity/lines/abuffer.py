@@ -9,12 +9,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, free_memory, logger, uses_cuda
+from etendue.core import Array, free_memory, in_order, logger, uses_cuda
 from etendue.points import PointSet
 from etendue.surfaces import Patches, is_interior
 
+from ..compiling import compiled
 from ..errors import RadiosityError
-from ..parallel import compiled, in_order
 from .engine import LineEngine
 from .generators import Bundles
 from .rasteriser import Rasteriser

@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, uses_cuda
+from etendue.core import Array, in_order, threads, uses_cuda
 from etendue.surfaces import Patches
 
+from ..compiling import compiled
 from ..errors import RadiosityError
-from ..parallel import compiled, in_order, threads
 from .replay import DeviceSegments
 
 Pairs = NDArray[np.uint32]

@@ -10,10 +10,10 @@ import numpy as np
 from etendue.core import Array
 from etendue.surfaces import Patches
 
+from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.engine import LineEngine
 from ..lines.segments import Pairs
-from ..parallel import compiled
 from .shot import FirstShot
 
 #: A round of bundles could take this multiple of its power from a patch, without feedback. A larger value makes the

@@ -21,11 +21,11 @@ from etendue.core import (
 )
 from etendue.surfaces import Patches, RayScene
 
+from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.chained import ChainedRays
 from ..lines.generators import GENERATORS, SINGLE_LINES
 from ..lines.sequences import LINE_POINTS, line_points
-from ..parallel import compiled
 from ..problem import PatchProblem
 from .multipath import LineExchange, Multipath
 from .shot import FirstShot, shot_at_patches, small_emitters

@@ -14,10 +14,10 @@ from etendue.core import Array, InNotebooks, free_memory, short_repr
 from etendue.surfaces import AmbientTerm, Patches
 
 from ..ambient.spreading import spread
+from ..compiling import compiled
 from ..errors import RadiosityError
 from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
-from ..parallel import compiled
 from .absorption import Ends, absorbed
 from .shot import FirstShot
 

@@ -1,11 +1,28 @@
-"""Work in threads: order, and streams that are given up."""
+"""How many threads there are; work in threads: order, and streams that are given up."""
 
 from __future__ import annotations
 
 import threading
 from functools import partial
 
-from etendue.radiosity.parallel import in_order, threads
+import drjit as dr
+import pytest
+
+from etendue.core import OptionError, in_order, set_threads, threads
+
+
+def test_the_number_of_threads():
+    before = dr.thread_count()
+    try:
+        set_threads(1)
+        assert dr.thread_count() == threads() == 1
+        set_threads(None)
+        assert dr.thread_count() == 1
+    finally:
+        dr.set_thread_count(before)
+    for bad in (0, -2, 1.5, "four", True):
+        with pytest.raises(OptionError, match="number of threads"):
+            set_threads(bad)
 
 
 def test_results_come_in_the_order_of_the_tasks():
