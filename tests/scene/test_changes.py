@@ -263,7 +263,7 @@ def test_scales_as_xml(scale: float, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", list(bundled()))
 def test_bundled_scenes_as_xml_give_the_same_picture(name: str, tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
-    settings = {"samples": 16, "size": (48, 36), "max_depth": 4, "seed": 3}
+    settings = {"spp": 16, "size": (48, 36), "max_depth": 4, "seed": 3}
     one, other = (etendue.render(source, "path", **settings).image for source in (name, tmp_path / "scene.xml"))
     assert np.mean(other) == pytest.approx(np.mean(one), rel=2e-3)
     assert np.median(np.abs(other - one)) <= 1e-3 * np.mean(one)
