@@ -48,7 +48,7 @@ def own() -> mi.Scene:
 
 
 def picture(problem, name: str) -> np.ndarray:
-    return go(prepared(problem, name, samples_per_pass=4, **SMALL.get(name, {})), 1).mean
+    return go(prepared(problem, name, **{"samples_per_pass": 4} | SMALL.get(name, {})), 1).mean
 
 
 def keep_and_render(kind: str, names: list[str]) -> None:

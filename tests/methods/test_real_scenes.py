@@ -37,4 +37,4 @@ def test_public_scenes(name, method, scenes_dir):
 def test_bundled_scenes_with_other_switches(name, switch):
     method, settings = SWITCHES[switch]
     # In `gaps` few paths find light.
-    render(load(name, size=(32, 32)), method, spp=64 if name == "gaps" else 4, **settings)
+    render(load(name, size=(32, 32)), method, samples=64 if name == "gaps" else 4, **settings)
