@@ -36,10 +36,10 @@ DEPENDENT = ("auto", "guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
 BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: Those that connect vertices of light paths to the camera, and find nothing else.
 SPLATS = ("light", "film light")
-#: Uniform directions find the peaks of glossy materials rarely, and after several bounces so rarely that the mean of a
-#: few passes is not normal: a hundred thousand samples of a pixel lack one per cent of the light, with an estimated
-#: error of one per mille. Their paths are short.
-UNIFORM = {"bsdf_sampling": False, "max_depth": 3}
+#: Uniform directions find the peaks of these materials rarely, and after several bounces so rarely that the mean of a few
+#: passes is not normal: a hundred thousand samples of a pixel lack one per cent of the light, with an estimated error of
+#: one per mille. There, their paths are short.
+GLOSSY = ("rough", "wrapped")
 #: What only the slow table runs.
 MORE = {
     "path power": ("path", {"heuristic": "power"}),
@@ -52,8 +52,8 @@ MORE = {
     "film_metropolis": ("film_metropolis", {"bootstrap": 1 << 14}),
     "film light": ("film_metropolis", {"bootstrap": 1 << 14, "paths": "light"}),
     "film pairs": ("film_metropolis", {"bootstrap": 1 << 14, "paths": "bidirectional"}),
-    "film uniform": ("film_metropolis", {"bootstrap": 1 << 14, **UNIFORM}),
-    "stratified joint": ("stratified", {"parameters": "light1 bounce1", **UNIFORM}),
+    "film uniform": ("film_metropolis", {"bootstrap": 1 << 14, "bsdf_sampling": False}),
+    "stratified joint": ("stratified", {"parameters": "light1 bounce1", "bsdf_sampling": False}),
 }
 
 
@@ -136,6 +136,8 @@ def compare(
     emitter: str, group: str, name: str, sensor: str, rfilter: str, samples: int, runs: int = 6, seed: int = 1
 ) -> None:
     method, settings = (METHODS | MORE)[name]
+    if not settings.get("bsdf_sampling", True) and group in GLOSSY:
+        settings = settings | {"max_depth": 3}
     key = (emitter, group, sensor, rfilter)
     reference = _reference(2 * samples, runs, seed, settings.get("max_depth", -1), *key)
     if method in DEPENDENT:
