@@ -36,9 +36,9 @@ DEPENDENT = ("auto", "guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
 BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: Those that connect vertices of light paths to the camera, and find nothing else.
 SPLATS = ("light", "film light")
-#: Uniform directions find the peaks of these materials rarely, and after several bounces so rarely that the mean of a few
-#: passes is not normal: a hundred thousand samples of a pixel lack one per cent of the light, with an estimated error of
-#: one per mille. There, their paths are short.
+#: Uniform directions find the peaks of these materials rarely, and after several bounces so rarely that the mean of a
+#: few passes is not normal: a hundred thousand samples of a pixel lack one per cent of the light, with an estimated
+#: error of one per mille. There, their paths are short.
 GLOSSY = ("rough", "wrapped")
 #: What only the slow table runs.
 MORE = {
