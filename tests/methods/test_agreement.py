@@ -29,6 +29,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "guided": ("guided", {"cell_samples": 500}),
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
+    "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
 }
 #: Methods whose passes depend on each other: independent runs have the variance.
 DEPENDENT = ("auto", "guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
@@ -37,15 +38,14 @@ BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: Those that connect vertices of light paths to the camera, and find nothing else.
 SPLATS = ("light", "film light")
 #: Uniform directions find the peaks of these materials rarely, and after several bounces so rarely that the mean of a
-#: few passes is not normal: a hundred thousand samples of a pixel lack one per cent of the light, with an estimated
-#: error of one per mille. There, their paths are short.
+#: few passes is not normal: four hundred thousand samples of a pixel lack one per cent of the light, with an
+#: estimated error of one per mille. There, their paths are short.
 GLOSSY = ("rough", "wrapped")
 #: What only the slow table runs.
 MORE = {
     "path power": ("path", {"heuristic": "power"}),
     "bpt counts": ("bpt", {"connections": 3, "next_events": 2, "light_paths": 0.5}),
     "vegas one path": ("vegas", {"one_path": True, "groups": "film; light; bounce", "learning": "stratified"}),
-    "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
     "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
     "auto": ("auto", {"radius": 0.001}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
