@@ -39,7 +39,7 @@ def measure(
     """One table a scene; the three take turns, seed by seed. ``define``: settings of ``guided``."""
     settings = parse_pairs(define, "-D")
     for name in names:
-        case, own = _case(name, size, seconds)
+        case, own = referenced(name, size, seconds)
         if case is None:
             continue
         outcomes: dict[str, list[dict[str, float]]] = {"Mitsuba path": [], "path": [], "guided": []}
@@ -49,7 +49,7 @@ def measure(
                 image, samples, taken = (
                     picture(scene.load(case.source, size=case.size), seed, seconds=seconds, part_seconds=_PART)
                     if method == "Mitsuba path"
-                    else _etendue(case, method, seconds, seed, settings if method == "guided" else {})
+                    else timed(case, method, seconds, seed, settings if method == "guided" else {})
                 )
                 error = max(film.relative_mse(image, case.reference, trim=_TRIM) - own, 0.0)
                 runs.append(
@@ -99,15 +99,16 @@ def _record(
     return record
 
 
-def _case(name: str, size: tuple[int, int], seconds: float) -> tuple[Case | None, float]:
-    """The scene with a reference, and the reference's own error."""
+def referenced(name: str, size: tuple[int, int], seconds: float, by: str = "guided") -> tuple[Case | None, float]:
+    """The scene with a reference, and the reference's own error. ``by``: the method of the reference of a bundled
+    scene."""
     if name in scene.bundled():
         size = scaled_size(name, size[0] * size[1])
         first, second = (
-            render(name, "guided", seconds=_HALF * seconds, size=size, seed=1000 + half).image for half in range(2)
+            render(name, by, seconds=_HALF * seconds, size=size, seed=1000 + half).image for half in range(2)
         )
         mean = (first + second) / 2
-        note = f"guided, {2 * _HALF * seconds:g} s in two halves, whose difference tells its error"
+        note = f"{by}, {2 * _HALF * seconds:g} s in two halves, whose difference tells its error"
         # Half of the halves' difference is as far from either as the mean is from the truth.
         return Case(name, name, mean, note), film.relative_mse(first, mean, trim=_TRIM)
     case = find(name, size)
@@ -117,8 +118,9 @@ def _case(name: str, size: tuple[int, int], seconds: float) -> tuple[Case | None
     return case, 0.0
 
 
-def _etendue(
+def timed(
     case: Case, method: str, seconds: float, seed: int, settings: Mapping[str, Any]
 ) -> tuple[np.ndarray, float, float]:
+    """(picture, samples a pixel, seconds) of a run."""
     rendering = render(case.source, method, seconds=seconds, size=case.size, seed=seed, **settings)
     return rendering.image, float(rendering.metadata["samples"]), float(rendering.metadata["seconds"])

@@ -322,6 +322,28 @@ def lamp(centre: Any, side: float, radiance: float) -> Dict:
     return {"type": "rectangle", "to_world": place, "emitter": _area(radiance, radiance, 0.8 * radiance)}
 
 
+def hut(*emitters: str, size: tuple[int, int] = (16, 12)) -> Problem:
+    """Inside a room with one window, under skies and suns of :data:`EMITTERS`, on a plain."""
+    scene: Dict = {"type": "scene", "sensor": camera((0.9, 0.6, 0.9), (-0.6, -0.1, -0.6), 80.0, size=size)}
+    for name in emitters:
+        scene |= {f"{name}-{key}": value for key, value in EMITTERS[name]().items()}
+
+    def wall(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Dict:
+        low, high = np.array([x, y, z]).T
+        to_world = transform().translate(list((low + high) / 2)).scale(list((high - low) / 2))
+        return {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.6, 0.55, 0.5)}
+
+    scene["plain"] = plate((0.0, -1.01, 0.0), 8.0, True)
+    walls = (
+        *(((-1.1, 1.1), (-1.0, -0.9), (-1.1, 1.1)), ((-1.1, 1.1), (0.9, 1.0), (-1.1, 1.1))),
+        *(((-1.1, 1.1), (-0.9, 0.9), (-1.1, -1.0)), ((-1.1, 1.1), (-0.9, 0.9), (1.0, 1.1))),
+        ((-1.1, -1.0), (-0.9, 0.9), (-1.0, 1.0)),
+        *(((1.0, 1.1), (-0.9, -0.1), (-1.0, 1.0)), ((1.0, 1.1), (0.6, 0.9), (-1.0, 1.0))),
+        *(((1.0, 1.1), (-0.1, 0.6), (-1.0, -0.4)), ((1.0, 1.1), (-0.1, 0.6), (0.3, 1.0))),
+    )
+    return load(scene | {f"wall{number}": wall(*place) for number, place in enumerate(walls)})
+
+
 # ---------------------------------------------------------------------------------------------------- closed forms
 
 

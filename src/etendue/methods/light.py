@@ -40,10 +40,11 @@ from etendue.transport import (
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
 from .numbers import path_numbers
+from .openings import OpeningSettings, through_openings
 
 
 @dataclass(frozen=True)
-class LightSettings(ImageSettings):
+class LightSettings(OpeningSettings, ImageSettings):
     """Settings of ``light``."""
 
     light_paths: float = setting(1.0, "light paths per pixel and sample; more: less noise", above=0.0, maximum=64.0)
@@ -72,6 +73,7 @@ class LightTracing(Carrying, ImageMethod):
         to."""
         self._forget_states()
         super().prepare(problem, seed)
+        self.lights = through_openings(self, seed)
         self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
         require_splats(self.camera, self.name)
 

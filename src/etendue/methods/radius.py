@@ -111,7 +111,7 @@ def bounded(method: ImageMethod, first: FirstRadius, gather: Gather, share: floa
 
 def _note(method: ImageMethod, radius: Mapping[str, float]) -> None:
     """Note a radius for the metadata of pictures."""
-    method.notes = {"merge_radius": {name: float(f"{value:.4g}") for name, value in radius.items()}}
+    method.notes["merge_radius"] = {name: float(f"{value:.4g}") for name, value in radius.items()}
 
 
 def first_radius(method: ImageMethod, radius: float, unit: str) -> FirstRadius:

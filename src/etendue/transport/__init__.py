@@ -79,6 +79,7 @@ from .guiding.learning import (
     learned_emission as learned_emission,
 )
 from .guiding.lights import LightChoice as LightChoice, LocalLights as LocalLights
+from .guiding.openings import OpeningWalk as OpeningWalk, opened as opened, sky_seen as sky_seen
 from .guiding.walk import (
     FOUND_UNITS as FOUND_UNITS,
     GuidedPath as GuidedPath,

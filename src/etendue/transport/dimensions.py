@@ -17,7 +17,8 @@ TECHNIQUE = 5  #: 1 number: technique of a path of these edges, for methods that
 LIGHT_PICK = 0  #: 1 number: the light
 LIGHT_POINT = 1  #: 2 numbers: point on an area light, or on the disc of rays from an infinite light
 LIGHT_DIRECTION = 3  #: 2 numbers
-LIGHT_GUIDE = 5  #: 1 number: whether the direction is sampled from a learned density
+LIGHT_GUIDE = 5  #: 1 number: whether the direction, or the place of the ray, is sampled from a learned density
+LIGHT_DEPTH = 6  #: 1 number: third coordinate of a learned place of a ray from an infinite light
 
 # Vertices j >= 1 of both.
 LOBE = 0  #: 1 number: component of the BSDF

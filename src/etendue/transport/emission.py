@@ -88,7 +88,7 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool, departures: 
     if lights.has_point:
         _emit_point(result, light, u_direction, learned, active & light.is_point)
     if lights.has_infinite:
-        _emit_infinite(result, lights, light, u_point, u_direction, active & light.is_infinite)
+        _emit_infinite(result, lights, light, u_point, u_direction, source, active & light.is_infinite)
     if lights.has_beam:
         _emit_beam(result, light, u_point, active & light.is_beam)
     result.active &= ~dr.all(result.throughput == 0.0)
@@ -188,21 +188,45 @@ def _own_ray(light: Light, kind: str, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.
 
 
 def _emit_infinite(
-    out: EmittedRay, lights: LightTable, light: Light, u_point: mi.Point2f, u_direction: mi.Point2f, mask: mi.Bool
+    out: EmittedRay,
+    lights: LightTable,
+    light: Light,
+    u_point: mi.Point2f,
+    u_direction: mi.Point2f,
+    source: SampleSource,
+    mask: mi.Bool,
 ) -> None:
     centre = dr.zeros(mi.Interaction3f)
     centre.p = mi.Point3f(lights.bound.xyz)
     ds, weight = light.sample_direction("infinite", centre, u_direction, mask)
+    usable = mask & (ds.pdf > 0.0)
     # A disc of the scene's radius, perpendicular to the direction, that touches the bounding sphere.
     disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.bound.w
-    frame = mi.Frame3f(ds.d)
-    origin = centre.p + frame.to_world(mi.Vector3f(disc.x, disc.y, lights.bound.w))
+    offset = mi.Frame3f(ds.d).to_world(mi.Vector3f(disc.x, disc.y, 0.0))
+    if lights.lines is not None:
+        lines, share = lights.lines
+        choice = source.decide(0, dim.LIGHT_GUIDE)
+        learned, pick = usable & (choice < share), dr.minimum(choice / share, 1.0 - 2.0**-24)
+        place = lines.sample(pick, mi.Point3f(u_point.x, u_point.y, source.next_1d(0, dim.LIGHT_DEPTH)), learned)
+        passed = place - centre.p
+        offset = dr.select(learned, passed - ds.d * dr.dot(passed, ds.d), offset)
+    origin = centre.p + offset + ds.d * lights.bound.w
+    place_density = _place_density(lights, light, origin, ds.d, usable)
     direction_density = light.emitted * ds.pdf
-    usable = mask & (ds.pdf > 0.0)
     out.ray[usable] = mi.Ray3f(origin, -ds.d)
-    out.throughput[usable] = weight / (light.emitted * light.area_density)
+    out.throughput[usable] = weight / (light.emitted * place_density)
     out.area_density[usable] = light.pick * ds.pdf
-    out.emission_density[usable] = direction_density * light.area_density
+    out.emission_density[usable] = direction_density * place_density
+
+
+def _place_density(
+    lights: LightTable | LightsAt, light: Light, p: mi.Point3f, d: mi.Vector3f, mask: mi.Bool
+) -> mi.Float:
+    """Density of the place of the ray from an infinite light of direction ``d`` that passes ``p``, on its disc."""
+    if lights.lines is None:
+        return light.area_density
+    lines, share = lights.lines
+    return share * lines.along(p, d, mask) + (1.0 - share) * light.area_density
 
 
 def sample_direct(
@@ -236,7 +260,7 @@ def sample_direct(
     if lights.has_point:
         _direct_point(result, light, si, u_point, departures, active & light.is_point)
     if lights.has_infinite:
-        _direct_infinite(result, light, si, u_point, active & light.is_infinite)
+        _direct_infinite(result, lights, light, si, u_point, active & light.is_infinite)
     result.active &= ~dr.all(result.radiance == 0.0)
     return result
 
@@ -304,7 +328,12 @@ def _direct_point(
 
 
 def _direct_infinite(
-    out: DirectSample, light: Light, si: mi.SurfaceInteraction3f, u_point: mi.Point2f, mask: mi.Bool
+    out: DirectSample,
+    lights: LightTable | LightsAt,
+    light: Light,
+    si: mi.SurfaceInteraction3f,
+    u_point: mi.Point2f,
+    mask: mi.Bool,
 ) -> None:
     ds, weight = light.sample_direction("infinite", si, u_point, mask)
     usable = mask & (ds.pdf > 0.0)
@@ -312,7 +341,7 @@ def _direct_infinite(
     out.target[usable] = ds.p
     out.radiance[usable] = weight / light.pick
     out.pdf[usable] = light.pick * ds.pdf
-    out.light_ratio[usable] = of_emission(light, light.area_density)
+    out.light_ratio[usable] = of_emission(light, _place_density(lights, light, si.p, ds.d, usable))
 
 
 def is_emissive(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> mi.Bool:
@@ -358,6 +387,6 @@ def emission_of_hit(
             "infinite", mi.Emitter.pdf_direction, reference, ds, active=infinite
         )
         area_density = dr.select(infinite, direction_density, area_density)
-        by_disc = of_emission(light, direction_density * light.area_density)
+        by_disc = of_emission(light, direction_density * _place_density(lights, light, origin, -si.wi, infinite))
         emission_density = dr.select(infinite, by_disc, emission_density)
     return radiance, area_density, emission_density

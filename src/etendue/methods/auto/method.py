@@ -39,6 +39,7 @@ from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, 
 from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
 from ..bidirectional import BidirectionalSettings, Vcm
+from ..openings import OpeningSettings, through_openings
 from ..path import Path, Trace, camera_paths, path_pass, traced
 from .efficiency import LEARNING, PHOTON, Learned, PassWork, tile_pixels
 from .widening import Trial
@@ -78,7 +79,7 @@ _DOUBT = {"path": 1.0, "bpt": 0.4}
 
 
 @dataclass(frozen=True)
-class AutoSettings(CameraSettings):
+class AutoSettings(OpeningSettings, CameraSettings):
     """Settings of ``auto``."""
 
     rr_depth: int = setting(
@@ -123,6 +124,7 @@ class Auto(Carrying, ImageMethod):
         """See :class:`ImageMethod`. The first pass with light paths prepares what only such passes need."""
         self._forget_states()
         super().prepare(problem, seed)
+        self.lights = through_openings(self, seed)
         self._seed = seed
         self._vcm: Vcm | None = None
         self._vcm_state: State = {}
@@ -214,6 +216,7 @@ class Auto(Carrying, ImageMethod):
             )
             begin = time.perf_counter()
             vcm = Vcm(settings)
+            vcm.opened = self.lights
             if own.choice not in FIXED:
                 most = max(candidate.light_paths for candidate in CANDIDATES)
                 vcm.light_stride = round(most * self.camera.pixels * self.samples_per_iteration)
@@ -410,6 +413,8 @@ class Auto(Carrying, ImageMethod):
         kinds = {m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)}
         if seconds is None or seconds >= _LEAST + _PER_KIND * len(kinds):
             return None
+        if self.lights.lines is not None:
+            return FIXED["bpt"]
         if seconds >= _LEAST:
             return FIXED["vcm" if self._caustics else "path"]
         if not (self._has_specular() and self.lights.has_delta):

@@ -57,6 +57,7 @@ from etendue.transport import (
 from .. import base, radius as radii
 from ..base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
 from ..numbers import path_numbers
+from ..openings import through_openings
 from ..store import Group, VertexRoom, check_pyramid, concatenated
 from .settings import BidirectionalSettings
 
@@ -74,6 +75,8 @@ class Bidirectional(Carrying, ImageMethod):
     light_stride = 0
     #: Factor on the merge radius of the next pass.
     widening = 1.0
+    #: The lights with their openings, if they are known before :meth:`prepare`.
+    opened: LightTable | None = None
     _learning: LearnedEmission | None = None
     _choosing: LearnedConnections | None = None
     _searched: Gather | None = None  #: the light vertices of the pilot
@@ -93,6 +96,7 @@ class Bidirectional(Carrying, ImageMethod):
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
+        self.lights = self.opened or through_openings(self, seed)
         self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
         s = self.settings
         self.techniques = Techniques(

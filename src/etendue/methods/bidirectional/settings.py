@@ -9,6 +9,7 @@ from etendue.transport import GUIDE, GUIDE_CHOICES, MANY, PYRAMID_MAX, dimension
 
 from .. import radius as radii
 from ..base import CameraSettings
+from ..openings import OpeningSettings
 
 _CONNECTING = "connect vertices: hits on lights, next event, connections of light and camera vertices, camera splats"
 _MERGING = "merge camera vertices with the light vertices within the merge radius (photon density estimation)"
@@ -21,7 +22,7 @@ _LIGHT_PATHS = "light paths per camera path; more: less noise in caustics, more 
 
 
 @dataclass(frozen=True)
-class BidirectionalSettings(CameraSettings):
+class BidirectionalSettings(OpeningSettings, CameraSettings):
     """Settings of ``bpt``, ``bpm`` and ``vcm``."""
 
     rr_depth: int = setting(2, "path length, in edges, from which on Russian roulette may end a path", minimum=1)

@@ -25,11 +25,12 @@ from etendue.scene import Problem, materials
 from etendue.transport import CameraPath, DirectWeights, Walker, WalkVertex
 
 from ..base import CameraSettings, ImageMethod, Layer, total
+from ..openings import OpeningSettings, through_openings
 from .photons import PEAK, Peaks, PhotonShot, PhotonTracer
 
 
 @dataclass(frozen=True)
-class PhotonSettings(CameraSettings):
+class PhotonSettings(OpeningSettings, CameraSettings):
     """Settings of every photon mapping method."""
 
     direct: str = setting(
@@ -95,6 +96,7 @@ class PhotonMapping(ImageMethod):
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot measures the number of photons of a light path."""
         super().prepare(problem, seed)
+        self.lights = through_openings(self, seed)
         self.tracer = PhotonTracer(self, seed)
         self._light_paths = self.tracer.fitting(self.light_paths())
         bsdfs = [one for one in materials(problem.scene) if isinstance(one, mi.BSDF)]

@@ -16,6 +16,7 @@ from .caustics import caustics
 from .flat import flat
 from .gaps import gaps
 from .pieces import camera, diffuse, rgb, sky
+from .shutters import shutters
 from .street import street
 from .yard import yard
 
@@ -69,6 +70,7 @@ def bundled() -> dict[str, BundledScene]:
         ("flat", "a living room lit through a hall, by a lamp in the bedroom behind it", flat),
         ("street", "a street at night among 1,024 lanterns, most of them hidden by houses", street),
         ("yard", "a yard at dusk: a sky, a low sun, and ten lamps, one of them near", yard),
+        ("shutters", "a classroom lit by sky and sun through three windows, one of them behind blinds", shutters),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
         *theses.SCENES,

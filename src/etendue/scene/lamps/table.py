@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, copied_to_device, on_device
+from etendue.density import LineDensity
 
 from ..graph import as_array, contents, plugin_name
 from ..members import Members
@@ -106,7 +107,10 @@ class LightTable:
         emitters = scene.emitters()
         if not emitters:
             raise SceneError("the scene has no emitter, so every picture would be black; add a light source")
-        sphere = scene.bbox().bounding_sphere()
+        box = scene.bbox()
+        sphere = box.bounding_sphere()
+        #: Corners of the box of the scene's geometry, on the host.
+        self.box = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
         #: Centre and radius R of the sphere that bounds the scene's geometry.
         self.centre, self.radius = sphere.center, float(np.asarray(sphere.radius).ravel()[0])
 
@@ -124,6 +128,8 @@ class LightTable:
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
         lit = np.array([_is_lit(r, e) for r, e in zip(rows, emitters, strict=True)])
+        #: Learned places of the rays of infinite lights, and their share of these rays; None: all over the disc.
+        self.lines: tuple[LineDensity, mi.Float] | None = None
         #: Whether every lamp is switched off, so that every picture is black.
         self.is_black = not lit.any()
         lit |= self.is_black  # any probabilities do
@@ -197,6 +203,12 @@ class LightTable:
         if self.groups is not None and visible is not None:
             table.groups = Groups(self.groups.lamps, table.probabilities, visible)
         table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
+        return table
+
+    def through(self, lines: LineDensity, share: float) -> LightTable:
+        """The same lights; a ``share`` of the rays of infinite lights has the places of a density, below 1."""
+        table = copy.copy(self)
+        table.lines = lines, dr.opaque(mi.Float, share)
         return table
 
     def _fluxes(self, emitted: Array) -> Array:

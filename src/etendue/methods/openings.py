@@ -1,0 +1,62 @@
+"""Light of skies and suns through openings, found before the first pass by a pilot of camera paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import IndependentSource, Settings, logger, setting
+from etendue.scene import LightTable
+from etendue.transport import DirectWeights, OpeningWalk, opened, sky_seen
+
+from .base import ImageMethod
+
+#: Camera paths of the pilot, and rays that tell whether the sky is hidden.
+_PATHS, _RAYS = 1 << 16, 1 << 12
+#: Share of the sky that is seen from the surfaces in the picture above which nothing is learned.
+_OPEN = 0.25
+
+
+@dataclass(frozen=True)
+class OpeningSettings(Settings):
+    """Settings of the methods whose light paths look for openings."""
+
+    openings: bool = setting(
+        True,
+        "where walls hide most of the sky, find by camera paths through which windows light of skies and suns enters, "
+        "and emit most of its light paths there",
+    )
+
+
+def through_openings(method: ImageMethod, seed: int) -> LightTable:
+    """The lights of a prepared method with :class:`OpeningSettings`. Rays of infinite ones have the places of the lines
+    along which camera paths have found them, if the surfaces in the picture see little of the sky, and if that makes
+    these lines much likelier."""
+    method.notes.pop("openings", None)  # of the scene before
+    lights, wanted = method.lights, getattr(method.settings, "openings", False)
+    if not (wanted and lights.has_infinite) or lights.is_black:
+        return lights
+    source = IndependentSource(dr.arange(mi.UInt32, _RAYS), seed, "sky", 0)
+    if sky_seen(method.scene, _camera_rays(method, source, _RAYS)[0], source) > _OPEN:
+        return lights
+    source = IndependentSource(dr.arange(mi.UInt32, _PATHS), seed, "openings", 0)
+    ray, importance = _camera_rays(method, source, _PATHS)
+    path = method.walker(OpeningWalk, weights=DirectWeights()).trace(ray, source)
+    path.total *= mi.luminance(importance)
+    found = opened(lights, path)
+    if found is None:
+        return lights
+    lights, gain = found
+    logger.info("openings: the lines along which camera paths see the sky are sampled %.0f times as often", gain)
+    method.notes["openings"] = float(f"{gain:.3g}")
+    return lights
+
+
+def _camera_rays(method: ImageMethod, source: IndependentSource, count: int) -> tuple[mi.Ray3f, mi.Color3f]:
+    """Rays and their weights through ``count`` pixels all over the picture."""
+    pixels = method.camera.pixels
+    pixel = mi.UInt32((mi.Float(dr.arange(mi.UInt32, count)) + 0.5) * dr.opaque(mi.Float, pixels / count))
+    ray, importance, _ = method.camera.primary(dr.minimum(pixel, dr.opaque(mi.UInt32, pixels - 1)), source)
+    return ray, importance

@@ -1,0 +1,112 @@
+r"""Openings: where the light of skies and suns enters a scene.
+
+Of the rays that a sky sends to the sphere around a building, hardly any enters a window. Camera paths find those that
+do: the rays along which next event estimation, or a path that leaves the scene, finds the sky. A density of the places
+that these rays pass (:class:`~etendue.density.LineDensity`) is mixed with the uniform one over the scene's disc, so
+that no ray is impossible.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import SampleSource
+from etendue.density import LineDensity, fit_lines
+from etendue.scene import LightTable
+
+from .. import dimensions as dim
+from ..direct import DirectWeights
+from ..walk import CameraPath, Walker
+
+#: Most lines of a fit, and least number of lines that count alike.
+_MOST, _KNOWN = 1 << 13, 64.0
+#: Share of the rays that have learned places, and how much likelier they must make the lines. The other rays bound what
+#: learning costs light that enters otherwise, such as that of the ground outside: its photons are at most four times as
+#: rare.
+_SHARE, _GAIN = 0.75, 2.0
+#: Largest value of a line, in means: so that no path decides alone.
+_CAP = 30.0
+
+
+@dataclass(kw_only=True)
+class OpeningPath(CameraPath):
+    """State of a camera path that keeps one line to an infinite light, in proportion to what it contributes."""
+
+    total: mi.Float  #: luminance of the contributions of all lines
+    origin: mi.Point3f  #: of the kept line
+    direction: mi.Vector3f
+
+
+@dataclass(kw_only=True)
+class OpeningWalk(Walker):
+    """Path tracing that keeps lines to infinite lights."""
+
+    weights: DirectWeights
+
+    def trace(self, ray: mi.Ray3f, source: SampleSource) -> OpeningPath:
+        """Paths along camera rays, not yet evaluated."""
+        empty = {"total": mi.Float(0.0), "origin": mi.Point3f(0.0), "direction": mi.Vector3f(0.0, 0.0, 1.0)}
+        path = OpeningPath.start(ray, self.max_edges, **empty)
+        return self.walk(path, lambda s: self._edge(s, source), "openings")
+
+    def _edge(self, s: OpeningPath, source: SampleSource) -> OpeningPath:
+        vertex = self.arrive(s)
+        hit = self.emission(s, vertex)
+        found = s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf)
+        seen = hit.active & ~vertex.valid & (s.depth > 1)
+        self._keep(s, found, seen, s.ray.o, s.ray.d, source.decide(vertex.number, dim.GUIDE))
+        s.active &= vertex.valid & (s.depth < self.max_edges)
+
+        light = self.light_point(vertex, source, s.active & vertex.smooth)
+        light.active &= self.lights.row(light.light, light.active).is_infinite
+        scattered, (f,) = vertex.sample(source, s.active, [light])
+        found, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
+        self._keep(s, found, visible, vertex.si.p, light.direction, source.decide(vertex.number, dim.GUIDE + 1))
+        s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        self.advance(s, vertex, scattered, source)
+        return s
+
+    def _keep(
+        self, s: OpeningPath, found: mi.Color3f, active: mi.Bool, o: mi.Point3f, d: mi.Vector3f, u: mi.Float
+    ) -> None:
+        value = dr.select(active, dr.maximum(mi.luminance(found), 0.0), 0.0)
+        value = dr.select(dr.isfinite(value), value, 0.0)
+        s.total += value
+        kept = u * s.total < value
+        s.origin[kept] = o
+        s.direction[kept] = d
+
+
+def sky_seen(scene: mi.Scene, ray: mi.Ray3f, source: SampleSource) -> float:
+    """Share of the hemispheres over the surfaces that rays hit that no surface hides, by one direction each; 1 if the
+    rays hit nothing."""
+    si = scene.ray_intersect(ray)
+    up = mi.warp.square_to_uniform_hemisphere(mi.Point2f(*source.next_2d(1, dim.DIRECTION)))
+    towards = dr.mulsign(mi.Frame3f(si.n).to_world(up), dr.dot(si.n, -ray.d))
+    hit = si.is_valid()
+    free = hit & ~scene.ray_test(si.spawn_ray(towards), hit)
+    dr.eval(hit, free)
+    return float(np.array(free).sum() / max(int(np.array(hit).sum()), 1)) if np.array(hit).any() else 1.0
+
+
+def opened(lights: LightTable, path: OpeningPath) -> tuple[LightTable, float] | None:
+    """(lights with the places of rays learned from paths, by what factor the lines are likelier, a geometric mean);
+    None if little is gained."""
+    dr.eval(path.total, path.origin, path.direction)
+    value = np.array(path.total, np.float64)
+    value = np.minimum(np.nan_to_num(value), _CAP * np.nan_to_num(value).mean())
+    kept = np.flatnonzero(value > 0.0)[:: max(1, int((value > 0.0).sum()) // _MOST)]
+    value = value[kept]
+    if value.sum() ** 2 <= _KNOWN * (value**2).sum():
+        return None
+    o, d = (np.array(line, np.float64).T[kept] for line in (path.origin, path.direction))
+    even = 1.0 / (np.pi * lights.radius**2)
+    found = fit_lines(o, d, value, *lights.box, share=_SHARE, even=even)
+    if found is None or found[1] < _GAIN:
+        return None
+    cells, gain = found
+    return lights.through(LineDensity(cells), _SHARE), gain

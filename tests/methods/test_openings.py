@@ -1,0 +1,86 @@
+"""Light through a window by light paths that look for it: the same picture, with a fraction of the noise."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support import scenes
+from support.running import mitsuba_path, prepared, run
+from support.statistics import assert_agree
+
+import etendue
+from etendue import methods
+
+METHODS = ("light", "bpt", "bpm", "vcm", "sppm", "pm", "auto")
+#: Suns and skies, and methods: without weights, and with all techniques; the fast ones first.
+ROWS = [
+    ("sunsky", "bpt"),
+    ("directional constant", "light"),
+    *(("constant", method) for method in ("light", "bpt")),
+    *(("envmap", method) for method in ("light", "bpt")),
+    ("sunsky", "light"),
+    ("directional constant", "bpt"),
+]
+
+
+@pytest.mark.parametrize(
+    "row", [*ROWS[:2], *(pytest.param(row, marks=pytest.mark.slow) for row in ROWS[2:])], ids=" ".join
+)
+def test_it_is_the_same_picture(row):
+    suns, method = row[0].split(), row[1]
+    settings = {"light_paths": 16.0} if method == "light" else {}
+    found = run(scenes.hut(*suns), method, passes=8, samples=256, **settings)
+    reference = mitsuba_path(scenes.hut(*suns), passes=8, samples=2048)
+    assert_agree(found.images, reference, (suns, method), precision=0.03)
+
+
+def noise(method: str, openings: bool) -> float:
+    """Mean relative variance of the pixels of a pass."""
+    images = run(scenes.hut("sunsky"), method, passes=16, samples=32, openings=openings).images
+    mean = images.mean(axis=0)
+    return float((images.var(axis=0, ddof=1) / (mean**2 + 1e-3 * mean.mean() ** 2)).mean())
+
+
+@pytest.mark.parametrize(("method", "most"), [("light", 0.3), ("bpt", 0.6)])
+def test_it_has_less_noise(method, most):
+    assert noise(method, True) < most * noise(method, False)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_says_what_it_has_found(method):
+    made = prepared(scenes.hut("constant"), method)
+    assert made.notes["openings"] > 3.0
+    assert made.lights.lines is not None
+    assert prepared(scenes.hut("constant"), method, openings=False).lights.lines is None
+
+
+@pytest.mark.parametrize("method", ["bpt", "sppm"])
+def test_open_scenes_are_as_they_were(method):
+    """Nothing is learned where the sky is seen, and nothing without a sky."""
+    for problem in (scenes.field(0.5, 1.0), scenes.furnace("cube", 1.0, 0.5)):
+        made = prepared(problem, method)
+        assert made.lights.lines is None
+        assert "openings" not in made.notes
+
+
+def test_paths_of_the_camera_alone_do_not_look_for_them():
+    assert [name for name in methods.table() if "openings" in methods.get(name).Settings.names()] == [
+        name for name in methods.table() if name in {*METHODS, "ppm", "ambient_light"}
+    ]
+
+
+def test_a_run_can_be_continued(tmp_path):
+    """What was found is found again."""
+    file = tmp_path / "hut.checkpoint"
+    whole = etendue.render(scenes.hut("constant").scene, "bpt", spp=4, samples_per_pass=1)
+    etendue.render(scenes.hut("constant").scene, "bpt", spp=2, samples_per_pass=1, checkpoint=file)
+    rest = etendue.resume(file, scene=scenes.hut("constant").scene, spp=4)
+    assert rest.metadata["openings"] == whole.metadata["openings"]
+    np.testing.assert_allclose(rest.image, whole.image, rtol=1e-5, atol=1e-6)
+
+
+def test_black_skies_are_black():
+    problem = scenes.hut("constant")
+    mi.traverse(problem.scene)["constant-light.radiance.value"] = [0.0, 0.0, 0.0]
+    assert prepared(problem, "bpt").lights.lines is None
