@@ -63,8 +63,8 @@ def measure(
             record.add(
                 row,
                 f"{statistics.median(values):.4g}",
-                f"{statistics.median(ratios):.3f}",
-                f"{min(ratios):.3f} to {max(ratios):.3f}",
+                f"{statistics.median(ratios):.2g}",
+                f"{min(ratios):.2g} to {max(ratios):.2g}",
                 f"{statistics.median(bias[row]):+.2%}",
                 f"{statistics.median(spp[row]):.0f}",
                 verdict(statistics.median(ratios), BAR) if row == "auto" else "",

@@ -11,6 +11,7 @@ from support.statistics import assert_agree
 
 import etendue
 from etendue import methods
+from etendue.methods.auto.method import FIXED
 
 METHODS = ("light", "bpt", "bpm", "vcm", "sppm", "pm", "auto")
 #: Suns and skies, and methods: without weights, and with all techniques; the fast ones first.
@@ -53,6 +54,21 @@ def test_every_method_says_what_it_has_found(method):
     assert made.notes["openings"] > 3.0
     assert made.lights.lines is not None
     assert prepared(scenes.hut("constant"), method, openings=False).lights.lines is None
+
+
+def test_a_window_with_a_pane():
+    """Next event never passes glass: paths that leave through it find the window."""
+    assert prepared(scenes.hut("sunsky", pane=True), "bpt").notes["openings"] > 3.0
+
+
+@pytest.mark.parametrize(("pane", "chosen"), [(False, "bpt"), (True, "vcm")])
+def test_a_short_run_of_auto_uses_light_paths(pane, chosen):
+    made = prepared(scenes.hut("constant", pane=pane), "auto")
+    made.method.plan(1.0, None, None)
+    assert made._brief == FIXED[chosen]
+    closed = prepared(scenes.hut("constant", pane=pane), "auto", openings=False)
+    closed.method.plan(1.0, None, None)
+    assert closed._brief == FIXED["path"]
 
 
 @pytest.mark.parametrize("method", ["bpt", "sppm"])

@@ -322,16 +322,20 @@ def lamp(centre: Any, side: float, radiance: float) -> Dict:
     return {"type": "rectangle", "to_world": place, "emitter": _area(radiance, radiance, 0.8 * radiance)}
 
 
-def hut(*emitters: str, size: tuple[int, int] = (16, 12)) -> Problem:
-    """Inside a room with one window, under skies and suns of :data:`EMITTERS`, on a plain."""
+def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False) -> Problem:
+    """Inside a room with one window, open or with a ``pane`` of glass, under skies and suns of :data:`EMITTERS`, on a
+    plain."""
     scene: Dict = {"type": "scene", "sensor": camera((0.9, 0.6, 0.9), (-0.6, -0.1, -0.6), 80.0, size=size)}
     for name in emitters:
         scene |= {f"{name}-{key}": value for key, value in EMITTERS[name]().items()}
 
-    def wall(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Dict:
+    def wall(x: Any, y: Any, z: Any, bsdf: Dict | None = None) -> Dict:
         low, high = np.array([x, y, z]).T
         to_world = transform().translate(list((low + high) / 2)).scale(list((high - low) / 2))
-        return {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.6, 0.55, 0.5)}
+        return {"type": "cube", "to_world": to_world, "bsdf": bsdf or diffuse(0.6, 0.55, 0.5)}
+
+    if pane:
+        scene["pane"] = wall((1.04, 1.06), (-0.1, 0.6), (-0.4, 0.3), {"type": "dielectric"})
 
     scene["plain"] = plate((0.0, -1.01, 0.0), 8.0, True)
     walls = (

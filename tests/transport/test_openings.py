@@ -14,7 +14,7 @@ from support.statistics import assert_mean
 from etendue.core import IndependentSource
 from etendue.density import LineCells, LineDensity
 from etendue.scene import LightTable
-from etendue.transport import emission_of_hit, emit, sample_direct, sky_seen
+from etendue.transport import emission_of_hit, emit, sample_direct, surroundings
 
 N = 1 << 17
 SKIES = ("constant", "envmap", "sunsky", "directional")
@@ -85,7 +85,7 @@ def test_how_much_sky_is_seen():
 
     def seen(problem: Any, o: tuple[float, float, float], d: tuple[float, float, float]) -> float:
         ray = mi.Ray3f(mi.Point3f(*(dr.full(mi.Float, x, 4096) for x in o)), mi.Vector3f(*d))
-        return sky_seen(problem.scene, ray, numbers("sky", 4096))
+        return surroundings(problem.scene, ray, numbers("sky", 4096)).sky
 
     field, hut = scenes.field(0.5, 1.0), scenes.hut("constant")
     assert seen(field, (0.0, 2.0, 0.0), (0.0, -1.0, 0.0)) == 1.0
@@ -93,3 +93,14 @@ def test_how_much_sky_is_seen():
     assert seen(field, (0.0, 2.0, 0.0), (0.0, 1.0, 0.0)) == 1.0
     assert 0.0 < seen(hut, (0.0, 0.0, 0.0), (-0.6, -0.8, 0.0)) < 0.1
     assert seen(scenes.furnace("cube", 1.0, 0.5), (0.1, 0.0, 0.0), (0.0, 1.0, 0.0)) == 0.0
+
+
+def test_the_box_of_what_is_seen():
+    """A room on a wide plain: the box is the room's, whatever there is outside."""
+    problem, source = scenes.hut("constant"), numbers("rays", 4096)
+    ray, _ = problem.sensor.sample_ray(0.0, 0.0, mi.Point2f(*source.next_2d(0, 0)), mi.Point2f(0.5))
+    found = surroundings(problem.scene, ray, source)
+    np.testing.assert_allclose(found.lower, [-1.0, -0.9, -1.0], atol=0.1)
+    np.testing.assert_allclose(found.upper, [1.0, 0.9, 1.0], atol=0.1)
+    nothing = surroundings(scenes.field(0.5, 1.0).scene, mi.Ray3f(mi.Point3f(0, 5, 0), mi.Vector3f(0, 1, 0)), source)
+    np.testing.assert_allclose(nothing.upper - nothing.lower, [2.0, 0.0, 2.0], atol=1e-5)

@@ -9,11 +9,11 @@ import mitsuba as mi
 
 from etendue.core import IndependentSource, Settings, logger, setting
 from etendue.scene import LightTable
-from etendue.transport import DirectWeights, OpeningWalk, opened, sky_seen
+from etendue.transport import DirectWeights, OpeningWalk, Surroundings, opened, surroundings
 
 from .base import ImageMethod
 
-#: Camera paths of the pilot, and rays that tell whether the sky is hidden.
+#: Camera paths of the pilot, and camera rays that look around.
 _PATHS, _RAYS = 1 << 16, 1 << 12
 #: Share of the sky that is seen from the surfaces in the picture above which nothing is learned.
 _OPEN = 0.25
@@ -38,8 +38,7 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     lights, wanted = method.lights, getattr(method.settings, "openings", False)
     if not (wanted and lights.has_infinite) or lights.is_black:
         return lights
-    source = IndependentSource(dr.arange(mi.UInt32, _RAYS), seed, "sky", 0)
-    if sky_seen(method.scene, _camera_rays(method, source, _RAYS)[0], source) > _OPEN:
+    if look_around(method, seed).sky > _OPEN:
         return lights
     source = IndependentSource(dr.arange(mi.UInt32, _PATHS), seed, "openings", 0)
     ray, importance = _camera_rays(method, source, _PATHS)
@@ -52,6 +51,12 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     logger.info("openings: the lines along which camera paths see the sky are sampled %.0f times as often", gain)
     method.notes["openings"] = float(f"{gain:.3g}")
     return lights
+
+
+def look_around(method: ImageMethod, seed: int) -> Surroundings:
+    """What surrounds the camera of a prepared method."""
+    source = IndependentSource(dr.arange(mi.UInt32, _RAYS), seed, "surroundings", 0)
+    return surroundings(method.scene, _camera_rays(method, source, _RAYS)[0], source)
 
 
 def _camera_rays(method: ImageMethod, source: IndependentSource, count: int) -> tuple[mi.Ray3f, mi.Color3f]:

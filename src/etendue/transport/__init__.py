@@ -79,7 +79,7 @@ from .guiding.learning import (
     learned_emission as learned_emission,
 )
 from .guiding.lights import LightChoice as LightChoice, LocalLights as LocalLights
-from .guiding.openings import OpeningWalk as OpeningWalk, opened as opened, sky_seen as sky_seen
+from .guiding.openings import OpeningWalk as OpeningWalk, opened as opened
 from .guiding.walk import (
     FOUND_UNITS as FOUND_UNITS,
     GuidedPath as GuidedPath,
@@ -129,6 +129,7 @@ from .schemes.numbers import (
     UniformLights as UniformLights,
 )
 from .schemes.strata import EMISSION as EMISSION, FIRST_BOUNCE as FIRST_BOUNCE, StratifiedSource as StratifiedSource
+from .surroundings import Surroundings as Surroundings, surroundings as surroundings
 from .vertex import Vertex as Vertex, WalkVertex as WalkVertex
 from .visibility import Visibility as Visibility
 from .walk import (

@@ -11,11 +11,11 @@ If passes merge, some take turns with a larger radius, and the radius of the fol
 All passes are part of the picture, with equal weights: each is an estimate of the picture, whatever earlier passes have
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
-Nothing is learned in a run that is too short for it: below :data:`_LEAST` seconds, ``bpt`` renders scenes with mirrors
-or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm`` if light paths cannot be
-connected to the sensor), and ``path`` renders the others. Up to :data:`_PER_KIND` seconds more for each kind of
-material, which all make kernels larger, ``vcm`` renders scenes with mirrors or glass and lights other than an
-environment, and ``path`` the others.
+Nothing is learned in a run that is too short for it. Light through windows (:mod:`..openings`) is then rendered by
+``bpt``, with mirrors or glass by ``vcm``. Other scenes, below :data:`_LEAST` seconds: by ``bpt`` with mirrors or glass
+and lights that no ray can hit, whose caustics ``path`` never finds (``vcm`` if light paths cannot be connected to the
+sensor), by ``path`` without. Up to :data:`_PER_KIND` seconds more for each kind of material, which all make kernels
+larger: by ``vcm`` with mirrors or glass and lights other than an environment, by ``path`` without.
 """
 
 from __future__ import annotations
@@ -414,7 +414,7 @@ class Auto(Carrying, ImageMethod):
         if seconds is None or seconds >= _LEAST + _PER_KIND * len(kinds):
             return None
         if self.lights.lines is not None:
-            return FIXED["bpt"]
+            return FIXED["vcm" if self._has_specular() else "bpt"]
         if seconds >= _LEAST:
             return FIXED["vcm" if self._caustics else "path"]
         if not (self._has_specular() and self.lights.has_delta):

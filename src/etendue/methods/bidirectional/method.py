@@ -57,7 +57,7 @@ from etendue.transport import (
 from .. import base, radius as radii
 from ..base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, total, with_image
 from ..numbers import path_numbers
-from ..openings import through_openings
+from ..openings import look_around, through_openings
 from ..store import Group, VertexRoom, check_pyramid, concatenated
 from .settings import BidirectionalSettings
 
@@ -121,7 +121,11 @@ class Bidirectional(Carrying, ImageMethod):
         self._indexed = needs_interaction(problem.scene)
         self._box = radii.corners(problem)
         if s.guide_connections and self.techniques.connection and s.light_source == "cache":
-            self._choosing = LearnedConnections(*self._box, problem.size)
+            box = self._box
+            if self.lights.lines is not None:  # a room: the ground outside would leave one cell for it
+                around = look_around(self, seed)
+                box = around.lower, around.upper
+            self._choosing = LearnedConnections(*box, problem.size)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._discs = radii.first_radius(self, s.radius, s.radius_unit) if s.merging else radii.FirstRadius(0.0)
         kinds = bool(self.techniques.connection), self.techniques.merge

@@ -30,7 +30,7 @@ from etendue.core import Array, CheckpointError, copied_to_device
 
 from .worth import SQUARES, Worth, capped, in_units
 
-#: Cells along each axis of the scene's box.
+#: Cells along each axis of the box.
 _CELLS = 3
 #: Number of classes.
 CLASSES = 6 * _CELLS**3
@@ -63,7 +63,8 @@ class ConnectionSums:
 
 
 class ConnectionGuide:
-    """Learned choice of light vertices. ``lower``, ``upper``: corners of the scene's box."""
+    """Learned choice of light vertices. ``lower``, ``upper``: corners of the box of the cells; those at its sides go on
+    outside."""
 
     def __init__(self, lower: Sequence[float] | Array, upper: Sequence[float] | Array) -> None:
         sides = np.maximum(np.subtract(upper, lower), 1e-30)

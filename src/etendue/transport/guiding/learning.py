@@ -191,7 +191,7 @@ class LearnedConnections(Learned):
 
     Parameters
     ----------
-    lower, upper: corners of the scene's box.
+    lower, upper: see :class:`ConnectionGuide`.
     size: see :class:`Learned`.
     """
 

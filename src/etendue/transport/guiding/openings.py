@@ -81,18 +81,6 @@ class OpeningWalk(Walker):
         s.direction[kept] = d
 
 
-def sky_seen(scene: mi.Scene, ray: mi.Ray3f, source: SampleSource) -> float:
-    """Share of the hemispheres over the surfaces that rays hit that no surface hides, by one direction each; 1 if the
-    rays hit nothing."""
-    si = scene.ray_intersect(ray)
-    up = mi.warp.square_to_uniform_hemisphere(mi.Point2f(*source.next_2d(1, dim.DIRECTION)))
-    towards = dr.mulsign(mi.Frame3f(si.n).to_world(up), dr.dot(si.n, -ray.d))
-    hit = si.is_valid()
-    free = hit & ~scene.ray_test(si.spawn_ray(towards), hit)
-    dr.eval(hit, free)
-    return float(np.array(free).sum() / max(int(np.array(hit).sum()), 1)) if np.array(hit).any() else 1.0
-
-
 def opened(lights: LightTable, path: OpeningPath) -> tuple[LightTable, float] | None:
     """(lights with the places of rays learned from paths, by what factor the lines are likelier, a geometric mean);
     None if little is gained."""
