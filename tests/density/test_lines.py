@@ -50,7 +50,8 @@ def test_the_density_is_the_integral_along_the_line():
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", (-1.0, 1.0))
-def test_lines_along_the_axes(axis, sign):
+@pytest.mark.parametrize("zero", (0.0, -0.0))
+def test_lines_along_the_axes(axis, sign, zero):
     """Along an axis, the density of the line is the mass of a column over the area of its face, also on far lines."""
     c = cells()
     counts = np.array(c.mass.shape)
@@ -61,12 +62,21 @@ def test_lines_along_the_axes(axis, sign):
     o = np.zeros((len(places), 3))
     o[:, others] = LOWER[others] + (places + 0.3) * size[others]
     o[:, axis] = 100.0
-    d = np.zeros_like(o)
+    d = np.full_like(o, zero)
     d[:, axis] = sign
     found = along(LineDensity(c), o, d)
-    np.testing.assert_allclose(found, column[tuple(places.T)] / size[others].prod(), rtol=1e-4)
+    steps = 4 * 2.0**-23 / size[others].prod()  # masses are multiples of 2^-23
+    np.testing.assert_allclose(found, column[tuple(places.T)] / size[others].prod(), rtol=1e-4, atol=steps)
     o[:, others[0]] = UPPER[others[0]] + 0.01
     assert not along(LineDensity(c), o, d).any()
+
+
+@pytest.mark.parametrize("zero", (0.0, -0.0, 1e-20, -1e-20))
+def test_lines_in_the_coordinate_planes(zero):
+    d = np.array([[0.6, zero, 0.8], [zero, 0.6, -0.8], [-0.6, -0.8, zero], [zero, -1.0, zero]]).repeat(50, 0)
+    o = np.random.default_rng(8).uniform(LOWER, UPPER, d.shape)
+    c = cells()
+    np.testing.assert_allclose(along(LineDensity(c), o, d), brute_force(c, o, d), rtol=1e-2, atol=1e-3)
 
 
 def test_it_integrates_to_one_over_a_disc():
@@ -150,3 +160,13 @@ def test_another_density_needs_no_new_kernel():
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.eval(second.along(o, d, mi.Bool(True)))
         assert all(kernel["cache_hit"] for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT)
+
+
+def test_a_flat_box():
+    """Lines through the points of a square."""
+    random = np.random.default_rng(6)
+    o, d = random.uniform(-1.0, 1.0, (2000, 3)) * [1.0, 1.0, 0.0], directions(2000, 7)
+    lower, upper = np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 0.0])
+    found, gain = fit_lines(o, d, np.ones(2000), lower, upper, share=0.75, even=1.0 / (np.pi * 2.0))
+    assert np.isfinite(found.mass).all() and np.isfinite(gain)
+    assert np.isfinite(along(LineDensity(found), o, d)).all()

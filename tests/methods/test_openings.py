@@ -56,6 +56,12 @@ def test_every_method_says_what_it_has_found(method):
     assert prepared(scenes.hut("constant"), method, openings=False).lights.lines is None
 
 
+def test_a_small_window():
+    """Few paths find the sky, and more are traced."""
+    found = prepared(scenes.hut("constant", window=0.2), "bpt")
+    assert found.notes["openings"] > 10.0
+
+
 def test_a_window_with_a_pane():
     """Next event never passes glass: paths that leave through it find the window."""
     assert prepared(scenes.hut("sunsky", pane=True), "bpt").notes["openings"] > 3.0

@@ -322,28 +322,29 @@ def lamp(centre: Any, side: float, radiance: float) -> Dict:
     return {"type": "rectangle", "to_world": place, "emitter": _area(radiance, radiance, 0.8 * radiance)}
 
 
-def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False) -> Problem:
-    """Inside a room with one window, open or with a ``pane`` of glass, under skies and suns of :data:`EMITTERS`, on a
-    plain."""
+def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False, window: float = 0.7) -> Problem:
+    """Inside a room on a plain with one square window, open or with a ``pane`` of glass, under skies and suns of
+    :data:`EMITTERS`."""
+    low, high, left, right = 0.25 - window / 2, 0.25 + window / 2, -0.05 - window / 2, -0.05 + window / 2
     scene: Dict = {"type": "scene", "sensor": camera((0.9, 0.6, 0.9), (-0.6, -0.1, -0.6), 80.0, size=size)}
     for name in emitters:
         scene |= {f"{name}-{key}": value for key, value in EMITTERS[name]().items()}
 
     def wall(x: Any, y: Any, z: Any, bsdf: Dict | None = None) -> Dict:
-        low, high = np.array([x, y, z]).T
-        to_world = transform().translate(list((low + high) / 2)).scale(list((high - low) / 2))
+        first, last = np.array([x, y, z]).T
+        to_world = transform().translate(list((first + last) / 2)).scale(list((last - first) / 2))
         return {"type": "cube", "to_world": to_world, "bsdf": bsdf or diffuse(0.6, 0.55, 0.5)}
 
     if pane:
-        scene["pane"] = wall((1.04, 1.06), (-0.1, 0.6), (-0.4, 0.3), {"type": "dielectric"})
+        scene["pane"] = wall((1.04, 1.06), (low, high), (left, right), {"type": "dielectric"})
 
     scene["plain"] = plate((0.0, -1.01, 0.0), 8.0, True)
     walls = (
         *(((-1.1, 1.1), (-1.0, -0.9), (-1.1, 1.1)), ((-1.1, 1.1), (0.9, 1.0), (-1.1, 1.1))),
         *(((-1.1, 1.1), (-0.9, 0.9), (-1.1, -1.0)), ((-1.1, 1.1), (-0.9, 0.9), (1.0, 1.1))),
         ((-1.1, -1.0), (-0.9, 0.9), (-1.0, 1.0)),
-        *(((1.0, 1.1), (-0.9, -0.1), (-1.0, 1.0)), ((1.0, 1.1), (0.6, 0.9), (-1.0, 1.0))),
-        *(((1.0, 1.1), (-0.1, 0.6), (-1.0, -0.4)), ((1.0, 1.1), (-0.1, 0.6), (0.3, 1.0))),
+        *(((1.0, 1.1), (-0.9, low), (-1.0, 1.0)), ((1.0, 1.1), (high, 0.9), (-1.0, 1.0))),
+        *(((1.0, 1.1), (low, high), (-1.0, left)), ((1.0, 1.1), (low, high), (right, 1.0))),
     )
     return load(scene | {f"wall{number}": wall(*place) for number, place in enumerate(walls)})
 
@@ -367,7 +368,7 @@ def furnace(
     return load(scene | things)
 
 
-def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8)) -> Problem:
+def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8), side: float = 1.0) -> Problem:
     """A plane under a uniform sky, seen from above: irradiance pi L everywhere, albedo L to the camera."""
     scene: Dict = {
         "type": "scene",
@@ -375,7 +376,7 @@ def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8)) -> Pro
         "light": {"type": "constant", "radiance": rgb(radiance, radiance, radiance)},
         "plane": {
             "type": "rectangle",
-            "to_world": transform().rotate([1, 0, 0], -90).scale(1.0),
+            "to_world": transform().rotate([1, 0, 0], -90).scale(side),
             "bsdf": diffuse(albedo, albedo, albedo),
         },
     }

@@ -21,31 +21,72 @@ SKIES = ("constant", "envmap", "sunsky", "directional")
 
 
 def table(*emitters: str, share: float = 0.75) -> tuple[mi.Scene, LightTable]:
-    """Lights whose rays pass a random density in the middle of a scene."""
+    """A scene, and its lights, whose rays pass :func:`middle`."""
     scene = scenes.hut(*emitters).scene
+    return scene, LightTable(scene).through(LineDensity(middle()), share)
+
+
+def middle() -> LineCells:
+    """A random density in the middle of a scene."""
     mass = np.random.default_rng(4).exponential(size=(3, 4, 5)) ** 3
-    cells = LineCells(np.array([-0.5, -0.5, -0.5]), np.array([0.8, 0.4, 0.6]), mass / mass.sum())
-    return scene, LightTable(scene).through(LineDensity(cells), share)
+    return LineCells(np.array([-0.5, -0.5, -0.5]), np.array([0.8, 0.4, 0.6]), mass / mass.sum())
 
 
 def numbers(role: str, count: int = N) -> IndependentSource:
     return IndependentSource(dr.arange(mi.UInt32, count), 5, role, 0)
 
 
-@pytest.mark.parametrize("emitters", [*((name,) for name in SKIES), ("sunsky", "directional")])
-def test_they_bring_the_same_light(emitters):
-    """The flux through balls inside and outside of the density, against rays from all over the disc."""
-    scene, lights = table(*emitters)
-    plain = LightTable(scene)
-    for centre, radius in (([0.1, 0.0, 0.1], 0.8), ([-2.0, 0.5, 1.0], 1.0)):
-        flux = []
-        for which in (lights, plain):
-            emitted = emit(which, numbers("emit"), mi.Bool(True))
-            offset = mi.Point3f(*centre) - emitted.ray.o
-            beside = dr.norm(offset - emitted.ray.d * dr.dot(offset, emitted.ray.d))
-            flux.append(np.array(dr.select((beside < radius) & emitted.active, mi.luminance(emitted.throughput), 0.0)))
-        learned, even = (np.asarray(f, np.float64) for f in flux)
-        assert_mean(np.concatenate([learned, -even]) * 2.0, 0.0, (emitters, centre))
+def flux(lights: LightTable, centre: tuple[float, float, float], radius: float) -> np.ndarray:
+    """What each of N rays brings to a ball that nothing hides, (N, 3)."""
+    emitted = emit(lights, numbers("emit"), mi.Bool(True))
+    offset = mi.Point3f(*centre) - emitted.ray.o
+    beside = dr.norm(offset - emitted.ray.d * dr.dot(offset, emitted.ray.d))
+    return np.array(dr.select((beside < radius) & emitted.active, emitted.throughput, 0.0), np.float64).T
+
+
+#: Balls in the middle of the learned density, beside it, and far from it.
+BALLS = [((0.1, 0.0, 0.1), 0.5), ((0.6, 0.3, -0.4), 0.7), ((-2.0, 0.5, 1.0), 1.0)]
+
+
+@pytest.mark.parametrize("share", (0.25, 0.75))
+@pytest.mark.parametrize(("centre", "radius"), BALLS)
+def test_a_sky_brings_its_light(centre, radius, share):
+    """A ball under even radiance L gets pi L times its surface."""
+    _, lights = table("constant", share=share)
+    for channel, radiance in zip(flux(lights, centre, radius).T, (0.7, 0.8, 1.0), strict=True):
+        assert_mean(channel, np.pi * radiance * 4.0 * np.pi * radius**2, (centre, share))
+
+
+@pytest.mark.parametrize("direction", [[-0.5, -1.0, -0.6], [0.0, -1.0, 0.0], [-1.0, -0.5, 0.0], [0.0, -0.3, 1.0]])
+@pytest.mark.parametrize(("centre", "radius"), BALLS)
+def test_a_sun_brings_its_light(centre, radius, direction):
+    """A ball of cross-section A gets A E; also along the planes between cells."""
+    scene = scenes.hut("directional").scene
+    change = mi.traverse(scene)
+    way = mi.ScalarVector3f(direction)
+    up = mi.ScalarVector3f([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.5 else mi.ScalarVector3f([0.0, 0.0, 1.0])
+    change["directional-light.to_world"] = mi.Transform4f().look_at([0, 0, 0], list(way), list(up))
+    change.update()
+    lights = LightTable(scene).through(LineDensity(middle()), 0.75)
+    for channel, irradiance in zip(flux(lights, centre, radius).T, (3.0, 2.0, 2.0), strict=True):
+        assert_mean(channel, irradiance * np.pi * radius**2, (centre, direction))
+
+
+def test_lights_of_several_kinds():
+    """Picked with other probabilities; the density goes along."""
+    _, lights = table("directional", "constant")
+    lights = lights.picked_by(np.array([0.3, 0.7]), np.array([0.8, 0.2]))
+    expected = np.pi * 0.25 * np.array([3.0, 2.0, 2.0]) + np.pi * np.array([0.7, 0.8, 1.0]) * np.pi
+    for channel, value in zip(flux(lights, (0.1, 0.0, 0.1), 0.5).T, expected, strict=True):
+        assert_mean(channel, value)
+
+
+def test_a_room_on_a_wide_plain():
+    """Cells that are small beside the scene: rays from far away still know their density."""
+    scene = scenes.field(0.5, 1.0, side=3e4).scene
+    lights = LightTable(scene).through(LineDensity(middle()), 0.75)
+    inside = (0.1, 0.0, 0.1), 0.3  # what lies outside of the density hardly any ray finds
+    assert_mean(flux(lights, *inside)[:, 0], np.pi * 4.0 * np.pi * 0.3**2)
 
 
 @pytest.mark.parametrize("emitter", ("constant", "envmap", "sunsky"))

@@ -62,6 +62,7 @@ from .samples import (
     IndependentSource as IndependentSource,
     SampleSource as SampleSource,
     hash_mix as hash_mix,
+    in_steps as in_steps,
     keyed_bits as keyed_bits,
     seed_key as seed_key,
     to_unit_float as to_unit_float,

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 import drjit as dr
+import numpy as np
 
 if TYPE_CHECKING:
     import mitsuba as mi
-    import numpy as np
     from numpy.typing import NDArray
 
 _MASK = 0xFFFFFFFF
@@ -124,3 +124,13 @@ class IndependentSource:
     def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return self.next_1d(vertex, component)
+
+
+def in_steps(probability: NDArray[np.float64], bits: int) -> NDArray[np.float64]:
+    """Probabilities as multiples of 2^-bits, such as random numbers are, whose sum is one; a positive one remains
+    positive."""
+    steps = np.where(probability > 0.0, 1.0, 0.0)
+    steps += np.floor(probability / probability.sum() * (2.0**bits - steps.sum()))
+    steps[np.argmax(steps)] += 2.0**bits - steps.sum()
+    result: NDArray[np.float64] = steps / 2.0**bits
+    return result

@@ -21,7 +21,12 @@ from .estimator import Estimator as Estimator
 from .fixed import FixedKernel as FixedKernel, Naive as Naive
 from .histogram import BinnedKernel as BinnedKernel, Histogram as Histogram
 from .kernels import KERNELS as KERNELS, Kernel as Kernel, kernel_of as kernel_of
-from .lines import LineCells as LineCells, LineDensity as LineDensity, fit_lines as fit_lines
+from .lines import (
+    LEAST_LINES as LEAST_LINES,
+    LineCells as LineCells,
+    LineDensity as LineDensity,
+    fit_lines as fit_lines,
+)
 from .nearest import NearestNeighbours as NearestNeighbours
 from .quadtrees import Quadtrees as Quadtrees, QuadtreeSampler as QuadtreeSampler
 from .samples import Samples as Samples, Surface as Surface

@@ -21,16 +21,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, copied_to_device, on_device
+from etendue.core import Array, copied_to_device, in_steps, on_device
 
 #: Cells of the final grid and its iterations at most, and of those that look for its box.
 _FINE, _ITERATIONS, _COARSE, _COARSE_ITERATIONS = 1 << 15, 16, 1 << 12, 4
-#: Least number of lines; about as many look for the box.
-_LEAST = 1 << 10
+#: Least number of lines, and the number of those that look for the box.
+LEAST_LINES, _LOOKING = 1 << 9, 1 << 10
 #: Shares of the mass that the next box may leave out at either end of an axis.
 _TAILS = (0.002, 0.02, 0.1)
-#: Least extent of a box relative to its longest side.
-_FLAT = 1e-3
+#: Margin around a box, relative to its longest side, and share of the mass that is spread over all cells.
+_EDGE, _ANYWHERE = 1e-3, 0.02
 #: Least component of a direction by which lengths are divided.
 _TINY = 1e-12
 
@@ -55,7 +55,7 @@ class LineDensity:
             self._counts[axis] = dr.opaque(mi.UInt32, int(shape[axis]))
             self._lower[axis] = dr.opaque(mi.Float, float(cells.lower[axis]))
             self._size[axis] = dr.opaque(mi.Float, float(size[axis]))
-        mass = cells.mass.ravel()
+        mass = in_steps(cells.mass.ravel(), 23)  # as random numbers: cells are sampled as often as they count
         self._rho = copied_to_device(mi.Float, (mass / size.prod()).astype(np.float32))
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, mass))
 
@@ -69,15 +69,14 @@ class LineDensity:
 
     def along(self, o: mi.Point3f, d: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """The density of the lines through ``o`` of the unit directions ``d``, both ways."""
-        tiny = dr.abs(d) < _TINY
-        inverse = dr.rcp(dr.select(tiny, dr.copysign(mi.Vector3f(_TINY), d), d))
+        inverse = dr.rcp(dr.select(dr.abs(d) < _TINY, _TINY, d))
         ends = self._lower + self._size * mi.Vector3f(self._counts)
         first, second = (self._lower - o) * inverse, (ends - o) * inverse
         start, stop = dr.max(dr.minimum(first, second)), dr.min(dr.maximum(first, second))
         place = (o + d * start - self._lower) / self._size
         last = mi.Vector3i(self._counts) - 1
         cell = dr.clip(mi.Vector3i(dr.floor(place)), 0, last)
-        ahead = d >= 0.0
+        ahead = inverse > 0.0
         planes = mi.Vector3f(cell) + dr.select(ahead, mi.Vector3f(1.0), mi.Vector3f(0.0))
         to_next = (self._lower + planes * self._size - o) * inverse
         apart = dr.abs(self._size * inverse)
@@ -111,10 +110,11 @@ def fit_lines(
 
     Returns it and the factor by which the lines are likelier than by ``even`` alone, a geometric mean; each half of
     them is judged by a fit to the other half. None if they are too few."""
-    if len(o) < _LEAST or not weight.sum() > 0.0:
+    edge = _EDGE * np.max(np.subtract(upper, lower))  # a box may be flat, and have lines in its faces
+    if len(o) < LEAST_LINES or not weight.sum() > 0.0 or not edge > 0.0:
         return None
-    box = np.array([lower, upper], np.float64)
-    few = slice(None, None, max(1, len(o) // _LEAST))
+    box = np.array([lower - edge, upper + edge], np.float64)
+    few = slice(None, None, max(1, len(o) // _LOOKING))
 
     def tried(box: Array, most: int, lines: slice, cells: int) -> tuple[_Crossed, int, float]:
         crossed = _Crossed.by(o[lines], d[lines], box, cells)
@@ -130,13 +130,13 @@ def fit_lines(
             break
         box, (crossed, count, score) = boxes[best], trials[best]
     crossed, count, score = tried(box, _ITERATIONS, slice(None), _FINE)
-    return LineCells(box[0], box[1], crossed.fitted(weight, count)), float(np.exp(score))
+    mass = crossed.fitted(weight, count)
+    return LineCells(box[0], box[1], (1.0 - _ANYWHERE) * mass + _ANYWHERE / mass.size), float(np.exp(score))
 
 
 def _shape(box: Array, cells: int) -> tuple[int, int, int]:
     """Cells of a box, about cubes."""
     extent = box[1] - box[0]
-    extent = np.maximum(extent, _FLAT * extent.max())
     shape = np.maximum(np.floor(extent * (cells / extent.prod()) ** (1.0 / 3.0)), 1.0)
     while shape.prod() > cells:
         shape[shape.argmax()] -= 1.0
@@ -175,7 +175,7 @@ class _Crossed:
         shape = _shape(box, cells)
         counts = np.array(shape)
         size = (box[1] - box[0]) / counts
-        safe = np.where(np.abs(d) < _TINY, np.copysign(_TINY, d), d)
+        safe = np.where(np.abs(d) < _TINY, _TINY, d)
         cuts = [(box[0, a] + size[a] * np.arange(shape[a] + 1) - o[:, a, None]) / safe[:, a, None] for a in range(3)]
         start = np.max([np.minimum(c[:, 0], c[:, -1]) for c in cuts], axis=0)
         stop = np.min([np.maximum(c[:, 0], c[:, -1]) for c in cuts], axis=0)

@@ -8,13 +8,14 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import IndependentSource, Settings, logger, setting
+from etendue.density import LEAST_LINES
 from etendue.scene import LightTable
-from etendue.transport import DirectWeights, OpeningWalk, Surroundings, opened, surroundings
+from etendue.transport import DirectWeights, Lines, OpeningWalk, Surroundings, surroundings
 
 from .base import ImageMethod
 
-#: Camera paths of the pilot, and camera rays that look around.
-_PATHS, _RAYS = 1 << 16, 1 << 12
+#: Camera paths of a pilot, pilots at most, and lines after which there are no more; camera rays that look around.
+_PATHS, _PILOTS, _ENOUGH, _RAYS = 1 << 16, 16, 1 << 11, 1 << 12
 #: Share of the sky that is seen from the surfaces in the picture above which nothing is learned.
 _OPEN = 0.25
 
@@ -35,22 +36,39 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     along which camera paths have found them, if the surfaces in the picture see little of the sky, and if that makes
     these lines much likelier."""
     method.notes.pop("openings", None)  # of the scene before
-    lights, wanted = method.lights, getattr(method.settings, "openings", False)
-    if not (wanted and lights.has_infinite) or lights.is_black:
+    lights = method.lights
+    wanted = isinstance(method.settings, OpeningSettings) and method.settings.openings
+    if not (wanted and lights.has_infinite) or lights.is_black or look_around(method, seed).sky > _OPEN:
         return lights
-    if look_around(method, seed).sky > _OPEN:
-        return lights
-    source = IndependentSource(dr.arange(mi.UInt32, _PATHS), seed, "openings", 0)
-    ray, importance = _camera_rays(method, source, _PATHS)
-    path = method.walker(OpeningWalk, weights=DirectWeights()).trace(ray, source)
-    path.total *= mi.luminance(importance)
-    found = opened(lights, path)
+    found = _lines(method, seed).fitted(lights)
     if found is None:
+        logger.debug("openings: none")
         return lights
     lights, gain = found
     logger.info("openings: the lines along which camera paths see the sky are sampled %.0f times as often", gain)
     method.notes["openings"] = float(f"{gain:.3g}")
     return lights
+
+
+def _lines(method: ImageMethod, seed: int) -> Lines:
+    """Lines to infinite lights by a pilot of camera paths; by more of them if it finds few, unless all together would
+    not find enough."""
+    lines = _pilot(method, seed, 0)
+    if len(lines) * _PILOTS < LEAST_LINES:
+        return lines
+    for number in range(1, _PILOTS):
+        if len(lines) >= _ENOUGH:
+            break
+        lines = lines + _pilot(method, seed, number)
+    return lines
+
+
+def _pilot(method: ImageMethod, seed: int, number: int) -> Lines:
+    source = IndependentSource(dr.arange(mi.UInt32, _PATHS), seed, "openings", number)
+    ray, importance = _camera_rays(method, source, _PATHS)
+    path = method.walker(OpeningWalk, weights=DirectWeights()).trace(ray, source)
+    path.total *= mi.luminance(importance)
+    return Lines.of(path)
 
 
 def look_around(method: ImageMethod, seed: int) -> Surroundings:

@@ -79,7 +79,7 @@ from .guiding.learning import (
     learned_emission as learned_emission,
 )
 from .guiding.lights import LightChoice as LightChoice, LocalLights as LocalLights
-from .guiding.openings import OpeningWalk as OpeningWalk, opened as opened
+from .guiding.openings import Lines as Lines, OpeningWalk as OpeningWalk
 from .guiding.walk import (
     FOUND_UNITS as FOUND_UNITS,
     GuidedPath as GuidedPath,

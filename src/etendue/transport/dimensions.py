@@ -18,7 +18,7 @@ LIGHT_PICK = 0  #: 1 number: the light
 LIGHT_POINT = 1  #: 2 numbers: point on an area light, or on the disc of rays from an infinite light
 LIGHT_DIRECTION = 3  #: 2 numbers
 LIGHT_GUIDE = 5  #: 1 number: whether the direction, or the place of the ray, is sampled from a learned density
-LIGHT_DEPTH = 6  #: 1 number: third coordinate of a learned place of a ray from an infinite light
+LIGHT_CELL = 6  #: 2 numbers: cell of a learned place of a ray from an infinite light, and its third coordinate there
 
 # Vertices j >= 1 of both.
 LOBE = 0  #: 1 number: component of the BSDF
@@ -32,6 +32,8 @@ SPLAT_SHADOW = 8
 
 #: 1 number, camera sub-paths only: whether the guide samples the direction.
 GUIDE = 4
+#: 2 numbers, camera sub-paths only: whether a line to the light hit, and to the light point, is kept.
+KEEP = 5
 
 # Camera sub-paths: 4 numbers for each next-event sample (light, point, roulette), then 1 for each connection (roulette;
 # the light vertex is picked by numbers of another source, which blocks of lanes share).

@@ -202,16 +202,15 @@ def _emit_infinite(
     usable = mask & (ds.pdf > 0.0)
     # A disc of the scene's radius, perpendicular to the direction, that touches the bounding sphere.
     disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.bound.w
-    offset = mi.Frame3f(ds.d).to_world(mi.Vector3f(disc.x, disc.y, 0.0))
+    place = centre.p + mi.Frame3f(ds.d).to_world(mi.Vector3f(disc.x, disc.y, 0.0))
     if lights.lines is not None:
         lines, share = lights.lines
-        choice = source.decide(0, dim.LIGHT_GUIDE)
-        learned, pick = usable & (choice < share), dr.minimum(choice / share, 1.0 - 2.0**-24)
-        place = lines.sample(pick, mi.Point3f(u_point.x, u_point.y, source.next_1d(0, dim.LIGHT_DEPTH)), learned)
-        passed = place - centre.p
-        offset = dr.select(learned, passed - ds.d * dr.dot(passed, ds.d), offset)
-    origin = centre.p + offset + ds.d * lights.bound.w
-    place_density = _place_density(lights, light, origin, ds.d, usable)
+        learned = usable & (source.decide(0, dim.LIGHT_GUIDE) < share)
+        pick, depth = source.next_2d(0, dim.LIGHT_CELL)
+        place = dr.select(learned, lines.sample(pick, mi.Point3f(u_point.x, u_point.y, depth), learned), place)
+    # Of the place itself: far from it, at the origin of the ray, rounding may lead out of its cell.
+    place_density = _place_density(lights, light, place, ds.d, usable)
+    origin = place + ds.d * (lights.bound.w - dr.dot(place - centre.p, ds.d))
     direction_density = light.emitted * ds.pdf
     out.ray[usable] = mi.Ray3f(origin, -ds.d)
     out.throughput[usable] = weight / (light.emitted * place_density)

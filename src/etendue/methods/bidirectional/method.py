@@ -96,7 +96,7 @@ class Bidirectional(Carrying, ImageMethod):
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
-        self.lights = self.opened or through_openings(self, seed)
+        self.lights = through_openings(self, seed) if self.opened is None else self.opened
         self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
         s = self.settings
         self.techniques = Techniques(

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, copied_to_device
+from etendue.core import Array, copied_to_device, in_steps
 
 if TYPE_CHECKING:
     from .table import Light, LightTable
@@ -184,15 +184,6 @@ class LightsAt:
         light = self.table.row(row, active)
         light.pick = self.chance(row, active)
         return light
-
-
-def in_steps(probability: Array, bits: int) -> Array:
-    """Probabilities as multiples of 2^-bits whose sum is one; a positive one remains positive."""
-    steps = np.where(probability > 0.0, 1.0, 0.0)
-    steps += np.floor(probability / probability.sum() * (2.0**bits - steps.sum()))
-    steps[np.argmax(steps)] += 2.0**bits - steps.sum()
-    result: Array = steps / 2.0**bits
-    return result
 
 
 def _fluence(lamp: Lamp) -> float:

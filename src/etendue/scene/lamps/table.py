@@ -33,13 +33,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SceneError, copied_to_device, on_device
+from etendue.core import Array, SceneError, copied_to_device, in_steps, on_device
 from etendue.density import LineDensity
 
 from ..graph import as_array, contents, plugin_name
 from ..members import Members
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
-from .places import Groups, Lamp, LightsAt, in_steps
+from .places import Groups, Lamp, LightsAt
 from .points import LightPoints
 from .radiance import RadianceCells, has_cells, is_black, is_smooth, measure
 from .rays import own_ray

@@ -14,8 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import SampleSource
-from etendue.density import LineDensity, fit_lines
+from etendue.core import Array, SampleSource
+from etendue.density import LEAST_LINES, LineDensity, fit_lines
 from etendue.scene import LightTable
 
 from .. import dimensions as dim
@@ -28,8 +28,8 @@ _MOST, _KNOWN = 1 << 13, 64.0
 #: learning costs light that enters otherwise, such as that of the ground outside: its photons are at most four times as
 #: rare.
 _SHARE, _GAIN = 0.75, 2.0
-#: Largest value of a line, in means: so that no path decides alone.
-_CAP = 30.0
+#: Largest value of a line, in means of all lines: so that none decides alone.
+_CAP = 10.0
 
 
 @dataclass(kw_only=True)
@@ -58,14 +58,14 @@ class OpeningWalk(Walker):
         hit = self.emission(s, vertex)
         found = s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf)
         seen = hit.active & ~vertex.valid & (s.depth > 1)
-        self._keep(s, found, seen, s.ray.o, s.ray.d, source.decide(vertex.number, dim.GUIDE))
+        self._keep(s, found, seen, s.ray.o, s.ray.d, source.decide(vertex.number, dim.KEEP))
         s.active &= vertex.valid & (s.depth < self.max_edges)
 
         light = self.light_point(vertex, source, s.active & vertex.smooth)
         light.active &= self.lights.row(light.light, light.active).is_infinite
         scattered, (f,) = vertex.sample(source, s.active, [light])
         found, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
-        self._keep(s, found, visible, vertex.si.p, light.direction, source.decide(vertex.number, dim.GUIDE + 1))
+        self._keep(s, found, visible, vertex.si.p, light.direction, source.decide(vertex.number, dim.KEEP + 1))
         s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         self.advance(s, vertex, scattered, source)
         return s
@@ -81,20 +81,45 @@ class OpeningWalk(Walker):
         s.direction[kept] = d
 
 
-def opened(lights: LightTable, path: OpeningPath) -> tuple[LightTable, float] | None:
-    """(lights with the places of rays learned from paths, by what factor the lines are likelier, a geometric mean);
-    None if little is gained."""
-    dr.eval(path.total, path.origin, path.direction)
-    value = np.array(path.total, np.float64)
-    value = np.minimum(np.nan_to_num(value), _CAP * np.nan_to_num(value).mean())
-    kept = np.flatnonzero(value > 0.0)[:: max(1, int((value > 0.0).sum()) // _MOST)]
-    value = value[kept]
-    if value.sum() ** 2 <= _KNOWN * (value**2).sum():
-        return None
-    o, d = (np.array(line, np.float64).T[kept] for line in (path.origin, path.direction))
-    even = 1.0 / (np.pi * lights.radius**2)
-    found = fit_lines(o, d, value, *lights.box, share=_SHARE, even=even)
-    if found is None or found[1] < _GAIN:
-        return None
-    cells, gain = found
-    return lights.through(LineDensity(cells), _SHARE), gain
+@dataclass
+class Lines:
+    """Lines to infinite lights: origins and directions (n, 3), and what they contribute (n,)."""
+
+    o: Array
+    d: Array
+    value: Array
+
+    @classmethod
+    def of(cls, path: OpeningPath) -> Lines:
+        """Those that paths have kept."""
+        dr.eval(path.total, path.origin, path.direction)
+        value = np.nan_to_num(np.array(path.total, np.float64))
+        found = value > 0.0
+        o, d = (np.array(line, np.float64).T[found] for line in (path.origin, path.direction))
+        return cls(o, d, value[found])
+
+    def __add__(self, other: Lines) -> Lines:
+        return Lines(*(np.concatenate(pair) for pair in zip(self.arrays(), other.arrays(), strict=True)))
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """The lines as arrays."""
+        return self.o, self.d, self.value
+
+    def fitted(self, lights: LightTable) -> tuple[LightTable, float] | None:
+        """(the lights with places of rays learned from the lines, by what factor the lines are likelier, a geometric
+        mean); None if little is gained."""
+        if len(self) < LEAST_LINES:
+            return None
+        o, d, value = (part[:: -(-len(self) // _MOST)] for part in self.arrays())
+        value = np.minimum(value, _CAP * value.mean())
+        if value.sum() ** 2 <= _KNOWN * (value**2).sum():
+            return None
+        even = 1.0 / (np.pi * lights.radius**2)
+        found = fit_lines(o, d, value, *lights.box, share=_SHARE, even=even)
+        if found is None or found[1] < _GAIN:
+            return None
+        cells, gain = found
+        return lights.through(LineDensity(cells), _SHARE), gain
