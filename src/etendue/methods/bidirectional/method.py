@@ -67,7 +67,13 @@ class Bidirectional(Carrying, ImageMethod):
 
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
     settings: BidirectionalSettings
-    citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
+    citations: ClassVar[tuple[str, ...]] = (
+        "Georgiev2012",
+        "Georgiev2012b",
+        "Hachisuka2012",
+        "Davidovic2014",
+        "Rath2023",
+    )
     #: Estimates of the second moments of the next passes, if wanted; cleared at the beginning of a pass. If it is set
     #: before :meth:`prepare`, the pilot uses the same kernels as these passes.
     moments: Moments | None = None

@@ -20,6 +20,7 @@ class Bpt(Bidirectional):
         "Davidovic2014",
         "Georgiev2012b",
         "Su2022",
+        "Rath2023",
     )
 
 
