@@ -21,6 +21,9 @@ from .quality import Case, find
 #: Error times time of ``guided``, relative to Mitsuba's ``path``, at most.
 BAR = 1 / 3
 SCENES = "veach-bidir,ajar"
+#: Rows of a race, each a method of étendue and its settings, or "" for Mitsuba's ``path``; the name of that row.
+Rows = Mapping[str, tuple[str, Mapping[str, Any]]]
+MITSUBA = "Mitsuba path"
 #: Share of the brightest errors that is left out: one firefly must not decide.
 _TRIM = 0.001
 #: Without a picture by somebody else: each half of the reference takes this many times the time of a picture.
@@ -42,27 +45,33 @@ def measure(
         case, own = referenced(name, size, seconds)
         if case is None:
             continue
-        outcomes: dict[str, list[dict[str, float]]] = {"Mitsuba path": [], "path": [], "guided": []}
-        for seed in range(seeds):
-            for method, runs in outcomes.items():
-                gc.collect()  # a scene that is still alive makes the next one's kernels larger
-                image, samples, taken = (
-                    picture(scene.load(case.source, size=case.size), seed, seconds=seconds, part_seconds=_PART)
-                    if method == "Mitsuba path"
-                    else timed(case, method, seconds, seed, settings if method == "guided" else {})
-                )
-                error = max(film.relative_mse(image, case.reference, trim=_TRIM) - own, 0.0)
-                runs.append(
-                    {
-                        "plain": film.relative_mse(image, case.reference),
-                        "trimmed": error,
-                        "cost": error * taken,
-                        "samples": samples,
-                        "bias": film.relative_bias(image, case.reference),
-                    }
-                )
-                console.print(f"{name}, {method}, seed {seed}: {error:.4g} after {taken:.1f} s", style="dim")
-        yield _record(case, outcomes, seconds, seeds, settings)
+        rows: Rows = {MITSUBA: ("", {}), "path": ("path", {}), "guided": ("guided", settings)}
+        yield _record(case, race(case, own, rows, seconds, seeds), seconds, seeds, settings)
+
+
+def race(case: Case, own: float, rows: Rows, seconds: float, seeds: int) -> dict[str, list[dict[str, float]]]:
+    """What each row reaches, one entry a seed; they take turns. ``own``: error of the reference."""
+    outcomes: dict[str, list[dict[str, float]]] = {row: [] for row in rows}
+    for seed in range(seeds):
+        for row, (method, settings) in rows.items():
+            gc.collect()  # a scene that is still alive makes the next one's kernels larger
+            image, samples, taken = (
+                _timed(case, method, seconds, seed, settings)
+                if method
+                else picture(scene.load(case.source, size=case.size), seed, seconds=seconds, part_seconds=_PART)
+            )
+            error = max(film.relative_mse(image, case.reference, trim=_TRIM) - own, 0.0)
+            outcomes[row].append(
+                {
+                    "plain": film.relative_mse(image, case.reference),
+                    "trimmed": error,
+                    "cost": error * taken,
+                    "samples": samples,
+                    "bias": film.relative_bias(image, case.reference),
+                }
+            )
+            console.print(f"{case.name}, {row}, seed {seed}: {error:.4g} after {taken:.1f} s", style="dim")
+    return outcomes
 
 
 def _record(
@@ -76,7 +85,7 @@ def _record(
         f"Guiding, {case.name}, {case.size[0]}x{case.size[1]}, {seconds:g} s",
         ("", "relMSE", "without worst 0.1 %", "that x s", "brightness", "spp", "to Mitsuba's path", "bar"),
     )
-    plain = outcomes["Mitsuba path"]
+    plain = outcomes[MITSUBA]
     for method, runs in outcomes.items():
         middle = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
         ratio = statistics.median(run["cost"] / other["cost"] for run, other in zip(runs, plain, strict=True))
@@ -118,7 +127,7 @@ def referenced(name: str, size: tuple[int, int], seconds: float, by: str = "guid
     return case, 0.0
 
 
-def timed(
+def _timed(
     case: Case, method: str, seconds: float, seed: int, settings: Mapping[str, Any]
 ) -> tuple[np.ndarray, float, float]:
     """(picture, samples a pixel, seconds) of a run."""

@@ -16,6 +16,7 @@ beam       1 / A, uniform over the shape       1, along the normal (directionala
 =========  ==================================  ====================================================================
 
 Next event estimation samples a spherical light by its solid angle from the lit point; emission samples as in the table.
+:meth:`LightTable.through` mixes the disc with learned places.
 Each density is multiplied by the probability of picking the emitter; see :func:`shares`. The power of a texture is
 measured texel by texel. A projector samples its rays by its texture, not uniformly; the weights only need a density
 that all techniques share.

@@ -101,7 +101,7 @@ class LightWalk(BidirectionalWalk):
 
     def _flux(self, emitted: EmittedRay) -> mi.Float | None:
         """Flux of the paths at their start: those from lights that are picked more often than by power, or along
-        learned directions, have little, but contribute as much."""
+        learned directions or through learned places, have little, but contribute as much."""
         if self.departures is not None or self.lights.lines is not None:
             return dr.sum(emitted.throughput) / 3.0
         return None if self.lights.count == 1 else self.lights.flux_of(emitted.light, emitted.active)
