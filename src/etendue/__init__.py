@@ -1,52 +1,73 @@
 """étendue: global illumination for Mitsuba 3 scenes.
 
 ``import etendue`` registers the Mitsuba integrators of all methods but ``path``; :func:`render` renders any scene with
-any method without them.
+any method without them. The names below, and the packages, are imported when they are first used.
 """
 
-from typing import Any as _Any
+from typing import TYPE_CHECKING, Any as _Any
 
-from . import (
-    core as core,  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
-    plugins as plugins,
-)
-from .conformance import check as check
-from .core import (
-    BackendError as BackendError,
-    CheckpointError as CheckpointError,
-    ClusterError as ClusterError,
-    EtendueError as EtendueError,
-    OptionError as OptionError,
-    OutputError as OutputError,
-    SceneError as SceneError,
-    UnsupportedError as UnsupportedError,
-)
-from .engine import Session as Session
-from .plugins import register_method as register_method
-from .products import (
-    FormFactorResult as FormFactorResult,
-    RadiosityResult as RadiosityResult,
-    Rendering as Rendering,
-    Update as Update,
-)
-from .verbs import (
-    compute_form_factors as compute_form_factors,
-    map_particles as map_particles,
-    read_particles as read_particles,
-    render as render,
-    resume as resume,
-    solve_radiosity as solve_radiosity,
-    trace_particles as trace_particles,
-    view as view,
-)
+from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
+from .plugins import register as _register_plugins, register_method as register_method
+
+if TYPE_CHECKING:
+    from . import (
+        conformance as conformance,
+        density as density,
+        display as display,
+        distributed as distributed,
+        engine as engine,
+        film as film,
+        formats as formats,
+        integration as integration,
+        methods as methods,
+        particles as particles,
+        plugins as plugins,
+        points as points,
+        products as products,
+        radiosity as radiosity,
+        scene as scene,
+        surfaces as surfaces,
+        transport as transport,
+        viewer as viewer,
+    )
+    from .conformance import check as check
+    from .core import (
+        BackendError as BackendError,
+        CheckpointError as CheckpointError,
+        ClusterError as ClusterError,
+        EtendueError as EtendueError,
+        OptionError as OptionError,
+        OutputError as OutputError,
+        SceneError as SceneError,
+        UnsupportedError as UnsupportedError,
+    )
+    from .engine import Session as Session
+    from .products import (
+        FormFactorResult as FormFactorResult,
+        RadiosityResult as RadiosityResult,
+        Rendering as Rendering,
+        Update as Update,
+    )
+    from .verbs import (
+        compute_form_factors as compute_form_factors,
+        map_particles as map_particles,
+        read_particles as read_particles,
+        render as render,
+        resume as resume,
+        solve_radiosity as solve_radiosity,
+        trace_particles as trace_particles,
+        view as view,
+    )
+else:
+    __getattr__, __dir__ = core.on_use(__name__)
 
 __version__ = core.VERSION
 register = register_method
-plugins.register()  # in every Mitsuba variant that is set, now or later
+_register_plugins()  # in every Mitsuba variant that is set, now or later
 
 
 def _html_of(thing: _Any) -> str | None:
-    from .products.pages.notebook import html_of  # imported late: most of it is for pages and plots
+    from .products.pages.notebook import html_of
 
     return html_of(thing)
 

@@ -1,8 +1,6 @@
 """``python -m etendue`` is the command ``etendue``."""
 
-import sys
-
-from etendue.cli.main import main
+from etendue.cli.main import command
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command()

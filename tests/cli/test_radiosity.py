@@ -151,7 +151,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
         ("form-factors room.ply -m exact --bundles 8", "method exact: no lines are cast, so leave out bundles"),
-        ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
+        ("form-factors room.ply --bundles 0", "'--bundles': 0"),
         ("form-factors room.ply --max-area -1", "must be a positive number"),
         ("form-factors room.ply --max-area 1e-12", "allow larger ones"),
         ("form-factors broken.ply", "cannot be read as a mesh"),

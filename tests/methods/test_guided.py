@@ -15,10 +15,11 @@ from support.tables import thinned
 
 import etendue
 from etendue.core import CheckpointError
+from etendue.methods.gain import Gain
 from etendue.scene import load
 
 #: A pass of these teaches enough for a small picture.
-TRAINED = {"cell_samples": 500, "generations": 3}
+TRAINED = {"cell_samples": 500, "generations": 3, "give_up": False}
 
 
 def lit_room(**view: Any) -> Any:
@@ -218,12 +219,72 @@ def test_small_budgets_are_no_noisier_than_path():
     assert noise("guided") < noise("path")
 
 
+def squares(monkeypatch: Any, scene: Any, seed: int, generations: int, **settings: Any) -> np.ndarray:
+    """(lots, 2): mean squares of the paths of each lot of training, and what these paths tell of those without the
+    guide."""
+    found: list[tuple[float, float]] = []
+
+    def add(self: Any, light: Any, square: Any, count: int, rays: float) -> None:
+        found.append((float(np.square(light, dtype=np.float64).mean()), float(np.mean(square, dtype=np.float64))))
+
+    own = {"samples_per_pass": 512, "cell_samples": 500, "generations": generations}
+    with monkeypatch.context() as patch:
+        patch.setattr(Gain, "add", add)
+        patch.setattr(Gain, "end_generation", lambda self: 1.0)
+        go(prepared(scene, "guided", seed, **own, **settings), (1 << generations) - 1, seed=seed)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("lamps", "rr_depth"), [("shaded", 99), ("one hidden", 2)])
+def test_guided_paths_tell_the_noise_of_plain_ones(lamps, rr_depth, monkeypatch):
+    """Whose mean square is measured without a guide."""
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "sensor": scenes.camera(),
+        "floor": scenes.plate([0, 0, 0], 2.0, up=True),
+        "ceiling": scenes.plate([0, 2.3, 0], 2.0, up=False),
+        "ball": {"type": "sphere", "center": [0, 0.4, 0], "radius": 0.4, "bsdf": scenes.MATERIALS["roughconductor"]()},
+        "lamp": scenes.lamp([0.3, 1.9, 0.2], 0.3, 9.0),
+    }
+    if lamps == "shaded":
+        scene["shade"] = scenes.plate([0.3, 1.5, 0.2], 0.6, up=True)
+    else:
+        scene["hidden"] = scenes.lamp([0.0, 4.0, 0.0], 0.3, 9.0)
+    problem, options = scenes.load(scene), {"rr_depth": rr_depth, "max_depth": 6}
+    plain = np.concatenate([squares(monkeypatch, problem, seed, 1, **options)[:, 0] for seed in range(30)])
+    guided, told = np.concatenate([squares(monkeypatch, problem, seed, 4, **options)[7:] for seed in (51, 52, 53)]).T
+    assert guided.mean() < 0.8 * plain.mean()  # the guide has learned something
+    error = np.hypot(*(lots.std(ddof=1) / len(lots) ** 0.5 for lots in (plain, told)))
+    assert abs(told.mean() - plain.mean()) < 4.0 * error < 0.1 * plain.mean()
+
+
+def test_a_guide_that_does_not_pay_is_given_up():
+    """Under an even sky: the rest is path tracing, and a run goes on with it."""
+    scene = scenes.field(0.5, 1.0, size=(16, 16))
+    settings = {"samples_per_pass": 64, "generations": 2}
+    runner = prepared(scene, "guided", **settings)
+    whole = go(runner, 8)
+    assert runner.develop(whole.measurement).metadata["guide"]["given_up"]
+    assert not np.isnan(whole.mean).any()
+    first = prepared(scene, "guided", **settings)
+    go(first, 5)
+    resumed = prepared(scene, "guided", **settings)
+    resumed.restore(dict(first.state()))
+    np.testing.assert_array_equal(go(resumed, 3, first=5).images, whole.images[5:])
+    assert_agree(whole.images[4:], run(scene, "path", passes=4, samples=64, seed=9).images, "given up", precision=0.05)
+
+
 def test_the_size_of_the_guide_is_that_of_the_state():
     """Also if the method has learned more since."""
     runner = prepared(behind_a_door(), "guided", samples_per_pass=64, generations=3, cell_samples=200)
     begun, state = go(runner, 1), runner.state()
     go(runner, 6, first=1)
     guide = runner.method.develop(begun.measurement, state).metadata["guide"]
-    assert guide == {"generation": 1, "cells": len(state["guide"]["level"]), "places": len(state["found"])}
+    assert guide == {
+        "generation": 1,
+        "given_up": False,
+        "cells": len(state["guide"]["level"]),
+        "places": len(state["found"]),
+    }
     now = runner.develop(begun.measurement).metadata["guide"]
     assert now["cells"] == runner.guide.cells > guide["cells"]

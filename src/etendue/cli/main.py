@@ -5,10 +5,14 @@ Mitsuba, NumPy and the rest of étendue are imported inside the commands: `etend
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
+import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -90,6 +94,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level)
+
+
+def command() -> None:
+    """The command of the shell: :func:`main`, and the end of the process."""
+    gc.set_threshold(10_000, 20, 20)  # imports make many objects and no cycles
+    status = main()
+    # Freeing a scene and its kernels takes longer than some commands.
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # the reader of a pipe is gone
+            stream.flush()
+    os._exit(status)
 
 
 def _reported(error: BaseException, debug: bool) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -45,6 +45,8 @@ class Device:
 
     def opened(self) -> AbstractContextManager[OpenedCluster | None]:
         """The cluster, if one is asked for; local workers end with the block."""
+        if self.is_alone:
+            return nullcontext()
         from etendue.distributed import opened_cluster
 
         return opened_cluster(self.cluster, self.workers, self.threads)

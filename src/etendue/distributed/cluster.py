@@ -12,7 +12,7 @@ from etendue.engine import Job, MakeExecutor, Replicated
 from .dask import DaskPool
 from .pool import Pool
 from .processes import ProcessPool
-from .recipe import recipe
+from .recipes import recipe
 from .spread import Spread
 
 

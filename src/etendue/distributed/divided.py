@@ -16,7 +16,7 @@ from etendue.engine import Order
 from .content import Offered
 from .dispatcher import Dispatcher
 from .pool import Pool
-from .recipe import Recipe
+from .recipes import Recipe
 from .worker import Carried, PathBatch
 
 #: Largest number of paths of a task.

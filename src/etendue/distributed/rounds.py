@@ -13,7 +13,7 @@ from .content import Offered
 from .dispatcher import Dispatcher
 from .messages import Message, PartMessages, Reply, nbytes
 from .pool import Pool
-from .recipe import Recipe
+from .recipes import Recipe
 
 _TICK = 0.1
 

@@ -13,7 +13,7 @@ from etendue.engine import Order
 
 from .dispatcher import Dispatcher, Member
 from .pool import Arrival, Lost, Pool
-from .recipe import Recipe
+from .recipes import Recipe
 from .schedules import OnDemand, Replicas, Schedule
 from .worker import Chunk, Made, Merged
 

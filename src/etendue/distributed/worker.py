@@ -24,7 +24,7 @@ from etendue.engine import replica_seed
 
 from .content import Store
 from .messages import PartMessages, Reply, Talking
-from .recipe import Lacking, OpenRecipe
+from .recipes import Lacking, OpenRecipe
 
 #: Size in bytes from which on an array is sent in single precision, and the largest number that it may then contain.
 _LARGE, _LARGEST = 1 << 20, 1e30

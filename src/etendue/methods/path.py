@@ -94,12 +94,19 @@ class Path(EndsInMap):
         dr.eval(camera_paths(self, lanes, iteration, seed, samples, self.trace).radiance)
 
     def trace(self, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
-        """Camera paths that begin with ``ray``, in their final state; their first hits are added to ``first``."""
-        walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
-        path = traced(ray, walker, self.settings.direct_weights, source, **self.path_fields())
-        if (light := self.light_of_map(path)) is not None:
-            path.add(light, mi.Bool(True), Component.INDIRECT)
-        return path
+        """See :func:`trace_path`."""
+        return trace_path(self, ray, source, first)
+
+
+def trace_path(method: EndsInMap, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
+    """Camera paths that begin with ``ray``, in their final state, of a method with :class:`PathSettings`; their first
+    hits are added to ``first``."""
+    settings: Any = method.settings
+    walker = method.walker(Walker, proposal=settings.proposal, first=first)
+    path = traced(ray, walker, settings.direct_weights, source, **method.path_fields())
+    if (light := method.light_of_map(path)) is not None:
+        path.add(light, mi.Bool(True), Component.INDIRECT)
+    return path
 
 
 def path_pass(

@@ -14,50 +14,42 @@ from __future__ import annotations
 import functools
 import inspect
 import re
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
 from etendue.core import OptionError, bibliography, describe, logger, suggest
 
-from .adaptive.stratified import StratifiedPath
-from .adaptive.vegas import VegasPath
-from .ambient import AmbientLight, AmbientPath
-from .auto import Auto
 from .base import ImageMethod, ImageSettings
-from .bidirectional import Bpm, Bpt, Vcm
-from .caching import IrradianceCaching
-from .guided import Guided
-from .light import LightTracing
-from .metropolis.filmchains import FilmMetropolis
-from .metropolis.mmlt import Mmlt
-from .metropolis.pssmlt import Pssmlt
-from .path import Path
-from .photon.map import Pm
-from .photon.progressive import Ppm, Sppm
 
 #: Entry points of other packages.
 GROUP = "etendue.methods"
 
-_OWN: tuple[type[ImageMethod], ...] = (
-    Auto,
-    Path,
-    Guided,
-    VegasPath,
-    StratifiedPath,
-    LightTracing,
-    Pm,
-    Ppm,
-    Sppm,
-    Bpt,
-    Bpm,
-    Vcm,
-    Pssmlt,
-    Mmlt,
-    FilmMetropolis,
-    IrradianceCaching,
-    AmbientPath,
-    AmbientLight,
-)
-_methods: dict[str, type[ImageMethod]] = {cls.name: cls for cls in _OWN}
+#: étendue's own methods in the order of the manual, each with the place of its class. They are imported when they are
+#: used: each takes time.
+_OWN = {
+    "auto": "auto.method:Auto",
+    "path": "path:Path",
+    "guided": "guided:Guided",
+    "vegas": "adaptive.vegas:VegasPath",
+    "stratified": "adaptive.stratified:StratifiedPath",
+    "light": "light:LightTracing",
+    "pm": "photon.map:Pm",
+    "ppm": "photon.progressive:Ppm",
+    "sppm": "photon.progressive:Sppm",
+    "bpt": "bidirectional.variants:Bpt",
+    "bpm": "bidirectional.variants:Bpm",
+    "vcm": "bidirectional.variants:Vcm",
+    "pssmlt": "metropolis.pssmlt:Pssmlt",
+    "mmlt": "metropolis.mmlt:Mmlt",
+    "film_metropolis": "metropolis.filmchains:FilmMetropolis",
+    "irradiance_cache": "caching:IrradianceCaching",
+    "ambient_path": "ambient:AmbientPath",
+    "ambient_light": "ambient:AmbientLight",
+}
+#: Names of Mitsuba integrators that are not those of the methods; "": there is none.
+_OWN_PLUGINS = {"path": "", "stratified": "stratified_path", "film_metropolis": ""}
+#: The methods that have been used, or registered.
+_methods: dict[str, type[ImageMethod]] = {}
 #: Methods of other packages that could not be loaded, with the cause.
 _broken: dict[str, str] = {}
 
@@ -79,9 +71,13 @@ def register(method: type[ImageMethod]) -> type[ImageMethod]:
         raise OptionError(f"method {where} needs Settings, a subclass of etendue.methods.ImageSettings")
     if not (isinstance(name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", name)):
         raise OptionError(f"method {where} needs a name of small letters, digits and underscores, not {name!r}")
+    used = {own: f"{__package__}.{place.replace(':', '.')}" for own, place in _OWN.items()}
+    used |= {_OWN_PLUGINS.get(own, own): place for own, place in used.items()}
     for other in _methods.values():
-        if ({name, method.plugin_name()} - {""}) & {other.name, other.plugin_name()} and _place(other) != where:
-            raise OptionError(f"method {where}: the name '{name}' is used by {_place(other)}; choose another name")
+        used |= dict.fromkeys((other.name, other.plugin_name()), _place(other))
+    for taken in {name, method.plugin_name()} - {""}:
+        if used.get(taken, where) != where:
+            raise OptionError(f"method {where}: the name '{taken}' is used by {used[taken]}; choose another name")
     unknown = sorted(set(method.citations) - bibliography().keys())
     if unknown:
         raise OptionError(
@@ -96,28 +92,43 @@ def _place(method: type[ImageMethod]) -> str:
     return f"{method.__module__}.{method.__qualname__}"
 
 
-def table() -> dict[str, type[ImageMethod]]:
-    """Names and classes: étendue's own in the order of the manual, then those of other packages."""
+def names() -> list[str]:
+    """Names of the methods: étendue's own in the order of the manual, then those of other packages."""
     _load_entry_points()
-    return dict(_methods)
+    return [*_OWN, *(name for name in _methods if name not in _OWN)]
+
+
+def table() -> dict[str, type[ImageMethod]]:
+    """Names and classes, in the order of :func:`names`."""
+    return {name: get(name) for name in names()}
 
 
 def get(name: str) -> type[ImageMethod]:
     """The class of a method. Raises :class:`OptionError` if there is none, with the nearest name, or if its package
     cannot be loaded, with the cause."""
-    methods = table()
     if not isinstance(name, str):
         raise OptionError(f"a method is chosen by its name, not by {name!r}")
-    if name in methods:
-        return methods[name]
+    if name not in _methods and name in _OWN:
+        module, _, kind = _OWN[name].partition(":")
+        _methods[name] = getattr(import_module(f".{module}", __package__), kind)
+    if name in _methods or name in names():
+        return _methods[name]
     if name in _broken:
         raise OptionError(f"method '{name}' cannot be loaded: {_broken[name]}")
-    raise OptionError(f"no method '{name}'; {suggest(name, methods)}")
+    raise OptionError(f"no method '{name}'; {suggest(name, names())}")
+
+
+def plugins() -> dict[str, str]:
+    """Names of the Mitsuba integrators, and of their methods. Imports none of étendue's own."""
+    others = {_methods[name].plugin_name(): name for name in names() if name not in _OWN}
+    found = {_OWN_PLUGINS.get(name, name): name for name in _OWN} | others
+    return {plugin: name for plugin, name in found.items() if plugin}
 
 
 def by_plugin(name: str) -> type[ImageMethod] | None:
     """The class of the method whose Mitsuba integrator has the name ``name``; None if there is none."""
-    return next((method for method in table().values() if name and method.plugin_name() == name), None)
+    found = plugins().get(name)
+    return None if found is None else get(found)
 
 
 @functools.cache

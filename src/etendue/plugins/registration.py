@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 from etendue import methods, scene
 from etendue.core import logger
-from etendue.methods import ImageMethod
-
-from .integrator import integrator_class
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from etendue.methods import ImageMethod
 
 
 def register() -> None:
@@ -41,7 +40,7 @@ def register_method(method: type[ImageMethod]) -> type[ImageMethod]:
 
     methods.register(method)
     if mi.variant() is not None and method.plugin_name():
-        mi.register_integrator(method.plugin_name(), _constructor(method))
+        mi.register_integrator(method.plugin_name(), _constructor(method.name))
     return method
 
 
@@ -49,15 +48,16 @@ def _register(old: str | None, new: str | None) -> None:
     """Mitsuba's callback for a change of the variant: register under the new one."""
     import mitsuba as mi
 
-    for method in methods.table().values():
-        if method.plugin_name():
-            mi.register_integrator(method.plugin_name(), _constructor(method))
+    for plugin, name in methods.plugins().items():
+        mi.register_integrator(plugin, _constructor(name))
     scene.register()
     logger.debug("registered with Mitsuba under %s", new)
 
 
-def _constructor(method: type[ImageMethod]) -> Callable[[mi.Properties], mi.Integrator]:
+def _constructor(method: str) -> Callable[[mi.Properties], mi.Integrator]:
     def construct(props: mi.Properties) -> mi.Integrator:
-        return integrator_class(method)(props)
+        from .integrator import integrator_class  # imported late, as the methods are: each takes time
+
+        return integrator_class(methods.get(method))(props)
 
     return construct

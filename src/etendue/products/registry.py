@@ -67,7 +67,7 @@ def find(name: str) -> type[Method]:
     if (
         isinstance(name, str)
         and get_close_matches(name, _OTHERS, 1)
-        and not get_close_matches(name, methods.table(), 1)
+        and not get_close_matches(name, methods.names(), 1)
     ):
         raise OptionError(f"no method '{name}'; {suggest(name, _OTHERS)}")
     return methods.get(name)

@@ -1,53 +1,60 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, étendue's Mitsuba plugins."""
 
-from . import graph as graph, meshes as meshes
-from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
-from .camera import MOVABLE as MOVABLE, Camera as Camera
-from .capability import check as check, is_dark as is_dark
-from .changes.edits import ParameterChanges as ParameterChanges, name_elements as name_elements
-from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as SceneParameter
-from .changes.watching import Parameters as Parameters, parameters as parameters, view as view
-from .editing import (
-    LightEdits as LightEdits,
-    colour as colour,
-    described_lights as described_lights,
-    is_described as is_described,
-    scene_xml as scene_xml,
-)
-from .fingerprint import fingerprint as fingerprint
-from .graph import materials as materials
-from .lamps.placement import (
-    lamps_in_surfaces as lamps_in_surfaces,
-    remarks_on as remarks_on,
-    warn_of_lamps as warn_of_lamps,
-)
-from .lamps.places import LightsAt as LightsAt
-from .lamps.radiance import (
-    front as front,
-    has_cells as has_cells,
-    is_smooth as is_smooth,
-    sphere_point as sphere_point,
-    sphere_point_facing as sphere_point_facing,
-    surface_point as surface_point,
-    uniform_point as uniform_point,
-)
-from .lamps.rays import own_ray as own_ray
-from .lamps.table import Light as Light, LightTable as LightTable
-from .loading import (
-    Source as Source,
-    described as described,
-    integrator_of as integrator_of,
-    load as load,
-    locate as locate,
-)
-from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
-from .meshes import box as box, joined as joined
-from .models.reading import emits as emits
-from .parsing import Change as Change, is_sensor as is_sensor
-from .parts import load_part as load_part, shape_boxes as shape_boxes, unmerged as unmerged
-from .plugins import composed_bsdf as composed_bsdf, register as register
-from .portable import PortableScene as PortableScene, portable as portable, restored as restored
-from .problem import Problem as Problem
-from .resizing import resized as resized
-from .source import SceneSource as SceneSource, found as found, placed as placed
-from .space import RenderSpace as RenderSpace, warn_of_offsets as warn_of_offsets, warn_of_steps as warn_of_steps
+from typing import TYPE_CHECKING
+
+from etendue.core import on_use
+
+if TYPE_CHECKING:
+    from . import graph as graph, meshes as meshes
+    from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
+    from .camera import MOVABLE as MOVABLE, Camera as Camera
+    from .capability import check as check, is_dark as is_dark
+    from .changes.edits import ParameterChanges as ParameterChanges, name_elements as name_elements
+    from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as SceneParameter
+    from .changes.watching import Parameters as Parameters, parameters as parameters, view as view
+    from .editing import (
+        LightEdits as LightEdits,
+        colour as colour,
+        described_lights as described_lights,
+        is_described as is_described,
+        scene_xml as scene_xml,
+    )
+    from .fingerprints import fingerprint as fingerprint
+    from .graph import materials as materials
+    from .lamps.placement import (
+        lamps_in_surfaces as lamps_in_surfaces,
+        remarks_on as remarks_on,
+        warn_of_lamps as warn_of_lamps,
+    )
+    from .lamps.places import LightsAt as LightsAt
+    from .lamps.radiance import (
+        front as front,
+        has_cells as has_cells,
+        is_smooth as is_smooth,
+        sphere_point as sphere_point,
+        sphere_point_facing as sphere_point_facing,
+        surface_point as surface_point,
+        uniform_point as uniform_point,
+    )
+    from .lamps.rays import own_ray as own_ray
+    from .lamps.table import Light as Light, LightTable as LightTable
+    from .loading import (
+        Source as Source,
+        described as described,
+        integrator_of as integrator_of,
+        load as load,
+        locate as locate,
+    )
+    from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
+    from .meshes import box as box, joined as joined
+    from .models.reading import emits as emits
+    from .parsing import Change as Change, is_sensor as is_sensor
+    from .parts import load_part as load_part, shape_boxes as shape_boxes, unmerged as unmerged
+    from .plugins import composed_bsdf as composed_bsdf, register as register
+    from .portables import PortableScene as PortableScene, portable as portable, restored as restored
+    from .problem import Problem as Problem
+    from .resizing import resized as resized
+    from .source import SceneSource as SceneSource, found as found, placed as placed
+    from .space import RenderSpace as RenderSpace, warn_of_offsets as warn_of_offsets, warn_of_steps as warn_of_steps
+else:
+    __getattr__, __dir__ = on_use(__name__)

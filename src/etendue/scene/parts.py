@@ -15,7 +15,7 @@ from .changes.transforms import settle_transforms
 from .lamps.environments import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
 from .parsing import keep_shapes, name_shapes, nodes_below, read_properties, take_integrator
-from .portable import PortableScene
+from .portables import PortableScene
 from .problem import Problem
 
 

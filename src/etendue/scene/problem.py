@@ -8,7 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from .fingerprint import fingerprint
+from .fingerprints import fingerprint
 from .space import RenderSpace
 
 

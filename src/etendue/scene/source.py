@@ -15,7 +15,7 @@ from .camera import Camera
 from .editing import is_described
 from .loading import checked_size, load, locate
 from .parts import load_part, part_files, unmerged
-from .portable import PortableScene, portable, restored
+from .portables import PortableScene, portable, restored
 from .problem import Problem
 
 #: Smallest memory bound in bytes: 16 MB.

@@ -46,5 +46,12 @@ class DirectWeights:
             return mi.Float(1.0)
         return dr.select(light.is_delta, 1.0, dr.rcp(1.0 + self._power(pdf / light.pdf)))
 
+    def together(self, pdf: mi.Float, direct_pdf: mi.Float) -> mi.Float:
+        """Density q of both techniques, such that a contribution f times its weight over its density is f / q; with
+        the power heuristic nearly so."""
+        if self.mode == "naive":
+            return pdf
+        return direct_pdf if self.mode == "next_event" else pdf + direct_pdf
+
     def _power(self, ratio: mi.Float) -> mi.Float:
         return ratio * ratio if self.heuristic == "power" else ratio

@@ -49,6 +49,7 @@ class Evaluated:
     value: mi.Color3f  #: f |cos_s(light side)|
     pdf: mi.Float  #: solid-angle density of the direction
     reverse_pdf: mi.Float  #: solid-angle density of sampling the incoming direction from the given one
+    plain_pdf: mi.Float | None = None  #: the density by the BSDF alone, where ``pdf`` is that of a guide, too
 
 
 #: A sampled local direction: (wo, weight, pdf, reverse_pdf, eta, flags of the sampled component).

@@ -26,7 +26,7 @@ _ALWAYS_CITED = ("Mitsuba3", "Jakob2022")
 def show_methods() -> int:
     """Print a line per method, by what they make."""
     for title, names in (
-        ("pictures (etendue render)", tuple(methods.table())),
+        ("pictures (etendue render)", tuple(methods.names())),
         ("form factors (etendue form-factors)", FACTORS),
         ("radiosity (etendue radiosity)", SOLUTIONS),
         ("particles (etendue particles trace)", PARTICLES),

@@ -18,7 +18,7 @@ from etendue.film import flip, flip_is_installed, relative_bias, relative_mse, r
 
 from ..colours import css_gradient, false_colour
 from ..plots import Series, convergence_plot
-from ..tonemap import auto_exposure, tonemap
+from ..tonemapping import auto_exposure, tonemap
 from .entries import Entry, Image, check_entries
 from .figures import Figure, fitted
 from .machine import machine

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from etendue.film import LONGER, Technique, block_average
 
-from ..tonemap import tonemap
+from ..tonemapping import tonemap
 from .figures import Figure
 
 Image = NDArray[np.float32]

@@ -11,11 +11,12 @@ If passes merge, some take turns with a larger radius, and the radius of the fol
 All passes are part of the picture, with equal weights: each is an estimate of the picture, whatever earlier passes have
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
-Nothing is learned in a run that is too short for it. Light through windows (:mod:`..openings`) is then rendered by
-``bpt``, with mirrors or glass by ``vcm``. Other scenes, below :data:`_LEAST` seconds: by ``bpt`` with mirrors or glass
-and lights that no ray can hit, whose caustics ``path`` never finds (``vcm`` if light paths cannot be connected to the
-sensor), by ``path`` without. Up to :data:`_PER_KIND` seconds more for each kind of material, which all make kernels
-larger: by ``vcm`` with mirrors or glass and lights other than an environment, by ``path`` without.
+Nothing is learned in a run that is too short for it, in seconds or in samples. Light through windows
+(:mod:`..openings`) is then rendered by ``bpt``, with mirrors or glass by ``vcm``. Other scenes, below :data:`_LEAST`
+seconds: by ``bpt`` with mirrors or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm``
+if light paths cannot be connected to the sensor), by ``path`` without. Up to :data:`_PER_KIND` seconds more for each
+kind of material, which all make kernels larger: by ``vcm`` with mirrors or glass and lights other than an environment,
+by ``path`` without.
 """
 
 from __future__ import annotations
@@ -67,6 +68,8 @@ FIXED: dict[str, Candidate] = {
 #: Seconds of a run below which light paths are traced only for caustics that ``path`` never finds, and seconds more for
 #: each kind of material below which nothing is learned: kernels may have to be compiled.
 _LEAST, _PER_KIND = 6.0, 1.5
+#: Camera paths of a run up to which it counts as one of no time: its kernels would take longer than its passes.
+_PREVIEW = 1 << 20
 #: Share of a run's cost for passes that learn, after the first ones.
 _SHARE = 0.06
 #: Least ratio of products of error and cost at which the counts stay as they are.
@@ -144,6 +147,8 @@ class Auto(Carrying, ImageMethod):
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`."""
+        if passes is not None and passes * self.samples_per_iteration * self.camera.pixels <= _PREVIEW:
+            seconds = 0.0
         self._brief = self._without_learning(seconds)
 
     def full_lanes(self) -> int:

@@ -71,6 +71,8 @@ class GuidedScattered(Scattered):
     """A direction sampled from the BSDF or the guide, one lane each."""
 
     place: mi.UInt32  #: leaf of the guide's quadtrees that holds the direction; NOWHERE for a delta scattering
+    plain_pdf: mi.Float  #: density of the direction by the BSDF alone
+    likelier: mi.Float  #: by what factor the direction is likelier than by the BSDF alone
     fit: mi.UInt32  #: class of the direction, below FITS
     glow: mi.Float  #: expected reflected luminance without that of light points; 0: unknown
 
@@ -162,11 +164,13 @@ class Guide:
         ``cell``: from :meth:`locate`; other arguments as of :class:`Proposal`."""
         smooth = active & is_smooth(bsdf)
         share, glow = dr.gather(mi.Vector2f, self._pairs, cell, smooth)
-        by_guide = smooth & (source.decide(vertex, dim.GUIDE) < share)
         trained = smooth & (share > 0.0)
 
-        # The same random numbers as for the BSDF, because only one of the two directions is used.
+        # One of the numbers decides which of the two is sampled, so that the directions of both remain stratified.
         u = mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
+        by_guide = smooth & (u.x < share)
+        u.x = dr.minimum(dr.select(by_guide, u.x / share, (u.x - share) / (1.0 - share)), _BELOW_ONE)
+        source = _WithDirection(source, u)
         point, density, place = self._sampler.sample(cell, u, by_guide)
         toward = direction_of(point)
         wo = si.to_local(toward)
@@ -174,7 +178,7 @@ class Guide:
         guided = evaluated.pop()
         for (wo, mask), value in zip(directions, evaluated, strict=True):
             there, _ = self._sampler.find(cell, square_of(si.to_world(wo)), mask & trained)
-            value.pdf = _mixed(share, there, value.pdf)
+            value.plain_pdf, value.pdf = value.pdf, _mixed(share, there, value.pdf)
 
         by_bsdf = active & ~by_guide & sampled.active
         there, its_place = self._sampler.find(cell, square_of(sampled.direction), by_bsdf & smooth & ~sampled.is_delta)
@@ -197,6 +201,8 @@ class Guide:
             active=active,
             by_guide=by_guide,
             place=dr.select(smooth & ~is_delta, dr.select(by_guide, place, its_place), NOWHERE),
+            plain_pdf=by_both[1],
+            likelier=dr.select(is_delta, 1.0 - share, over(pdf, by_both[1])),
             fit=_fit(*by_both),
             glow=dr.select(smooth & ~is_delta, glow, 0.0),
         ), evaluated
@@ -259,6 +265,33 @@ class Guide:
         self._trees = Quadtrees.from_arrays(state)
         self._glow, self._shares = (np.asarray(state[name], np.float64) for name in ("glow", "shares"))
         self._upload()
+
+
+class _WithDirection:
+    """Numbers of a vertex, with other ones for the direction."""
+
+    def __init__(self, base: SampleSource, u: mi.Point2f) -> None:
+        self._base, self._u = base, u
+
+    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
+        """See :class:`SampleSource`."""
+        return self._base.next_1d(vertex, component)
+
+    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
+        """See :class:`SampleSource`."""
+        if component == dim.DIRECTION:
+            return self._u.x, self._u.y
+        return self._base.next_2d(vertex, component)
+
+    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
+        """See :class:`SampleSource`."""
+        return self._base.decide(vertex, component)
+
+
+def over(pdf: mi.Float, plain_pdf: mi.Float) -> mi.Float:
+    """By what factor a direction, or a path, is likelier than without the guide; at most 10^6, and 1 where it is
+    impossible."""
+    return dr.select(pdf > 0.0, pdf / dr.maximum(plain_pdf, 1e-6 * pdf), 1.0)
 
 
 def _shares(before: Array, fits: Array | None, most: float) -> Array:

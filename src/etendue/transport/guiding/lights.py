@@ -48,6 +48,12 @@ class LocalLights(LightsAt):
             own = dr.select(row == number, share, own)
         return own + (1.0 - sum(learned)) * super().chance(row, active)
 
+    def likelier(self, row: mi.UInt32, p: mi.Point3f, active: mi.Bool) -> mi.Float:
+        """By what factor a light is likelier to be selected at a place than without what was learned."""
+        here = self.at(p)
+        plain = LightsAt.chance(here, row, active)
+        return dr.select(active, here.chance(row, active) / dr.maximum(plain, 1e-6), 1.0)
+
     def drawn(self, u: mi.Float, active: mi.Bool | bool = True) -> mi.UInt32:
         """See :class:`LightsAt`."""
         learned = self._learned(active)

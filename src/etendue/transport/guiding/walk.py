@@ -15,11 +15,15 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.scene import LightTable
 
 from ..direct import DirectWeights
 from ..emission import DirectSample
+from ..scattering import Evaluated, roulette
+from ..vertex import WalkVertex
 from ..walk import CameraPath, Walker
-from .guide import FITS, NOWHERE, Guide, GuidedScattered
+from .guide import FITS, NOWHERE, Guide, GuidedScattered, over
+from .lights import LocalLights
 
 #: Training samples are summed as integers, so that the sum does not depend on the order of the additions. Units per
 #: mean luminance of a path, and the largest value of one sample.
@@ -43,6 +47,23 @@ class GuidedPath(CameraPath):
     expected: mi.Float  #: expected luminance of the contributions after the last vertex; 0: unknown
     expected_at_first: mi.Float  #: ``expected`` at the first vertex where it was known
     cell: mi.UInt32  #: the guide's cell at the start of the next edge
+    odds: mi.Float  #: by what factor the path is likelier than without the guide, without its last direction
+    plain_pdf: mi.Float  #: density of the last direction by the BSDF alone
+    plain: mi.Float  #: luminance of the contributions so far, each times its odds
+    plain_square: mi.Float  #: its expectation is that of the square of the luminance of a path without the guide
+
+
+@dataclass(frozen=True)
+class _Odds:
+    """By what factors a contribution is likelier, or larger, than without the guide.
+
+    A hit and a light point share the light by the balance heuristic. With the densities p of the direction, d of the
+    light point and q = p + d, and primes for those without the guide, the contributions of both are f / q and f / q'.
+    """
+
+    all: mi.Float  #: the sampling of path and contribution by both techniques: that of the path times q / q'
+    own: mi.Float | float = 1.0  #: factor that makes its mean over this technique that without the guide
+    aside: mi.Float | float = 1.0  #: the sampling of what later contributions do not share: d / d' of a light point
 
 
 class TrainingSamples:
@@ -130,6 +151,10 @@ class GuidedWalk(Walker):
             expected=mi.Float(0.0),
             expected_at_first=mi.Float(0.0),
             cell=mi.UInt32(0),
+            odds=mi.Float(1.0),
+            plain_pdf=mi.Float(0.0),
+            plain=mi.Float(0.0),
+            plain_square=mi.Float(0.0),
             **own,
         )
         return self.walk(path, lambda s: self._edge(s, source), "guided path")
@@ -139,8 +164,20 @@ class GuidedWalk(Walker):
         vertex = self.arrive(s)
 
         # ---- Emission, weighted by the light choice of the cell where the edge begins
-        hit = self.emission(s, vertex, self.guide.lights_at(s.cell, self.lights))
-        self.add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active, s.seen)
+        local = self.guide.lights_at(s.cell, self.lights)
+        hit = self.emission(s, vertex, local)
+        reached = dr.select(s.pdf == 0.0, 1.0, over(s.pdf, s.plain_pdf))
+        plain_direct_pdf = hit.direct_pdf
+        if isinstance(local, LocalLights):
+            row = self.lights.of(vertex.si.emitter(self.visibility.scene), hit.active).row
+            plain_direct_pdf = hit.direct_pdf / local.likelier(row, s.ray.o, hit.active)
+        both, plain = (
+            self.weights.together(*pdfs) for pdfs in ((s.pdf, hit.direct_pdf), (s.plain_pdf, plain_direct_pdf))
+        )
+        found = dr.select(s.pdf == 0.0, 1.0, over(both, plain))
+        light = s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf)
+        self.add(s, light, hit.active, s.seen, _Odds(s.odds * found, found / reached))
+        reached *= s.odds
         s.active &= vertex.valid & (s.depth < self.max_edges)
 
         # ---- Light point and direction by the cell of the vertex
@@ -152,7 +189,7 @@ class GuidedWalk(Walker):
         scattered, evaluated = vertex.sample(source, s.active, lights, guided)
         for light, f in zip(lights, evaluated, strict=True):
             contribution, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
-            self.add(s, contribution, visible, s.lit)
+            self.add(s, contribution, visible, s.lit, self._odds_of_light(reached, light, f, local, vertex))
             self.training.record_light(s, cell, light, contribution, visible)
 
         # ---- Advance; roulette by expected light
@@ -168,11 +205,45 @@ class GuidedWalk(Walker):
         ratio = mi.Color3f(dr.maximum(_WINDOW * s.expected / s.expected_at_first, _LEAST_SURVIVAL))
         by = dr.select(estimated, ratio, s.throughput * scattered.weight)
         eta = dr.select(estimated, 1.0, s.eta * scattered.eta)
-        s.expected = s.expected * self.advance(s, vertex, scattered, source, (by, eta))
+        plain_by = s.throughput * scattered.weight * (reached * scattered.likelier)
+        factor = self.advance(s, vertex, scattered, source, (by, eta))
+        s.expected = s.expected * factor
+        # The same roulette without the guide: by throughput.
+        _, plain_factor = roulette(plain_by, s.eta, vertex.number, self.rr_depth, mi.Float(0.0))
+        s.odds = self.keep_if_null(scattered, s.odds, reached * dr.select(scattered.is_delta, scattered.likelier, 1.0))
+        s.odds *= dr.minimum(plain_factor / factor, 1e6)
+        s.plain_pdf = self.keep_if_null(scattered, s.plain_pdf, scattered.plain_pdf)
         return s
 
-    def add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
+    def _odds_of_light(
+        self,
+        reached: mi.Float,
+        light: DirectSample,
+        f: Evaluated,
+        local: LightTable | LocalLights,
+        vertex: WalkVertex,
+    ) -> _Odds:
+        """Odds of a light point of a vertex with the odds ``reached``."""
+        chance: mi.Float | float = 1.0
+        if isinstance(local, LocalLights):
+            chance = local.likelier(light.light, vertex.si.p, light.active)
+        both, plain = (self.weights.together(*pdfs) for pdfs in ((f.pdf, light.pdf), (f.plain_pdf, light.pdf / chance)))
+        found = dr.select(light.is_delta, chance, over(both, plain))
+        return _Odds(reached * found, found / chance, chance)
+
+    def add(
+        self,
+        s: GuidedPath,
+        contribution: mi.Color3f,
+        active: mi.Bool,
+        component: mi.UInt32 | int | None,
+        odds: _Odds | None = None,
+    ) -> None:
         """Add a contribution; see :meth:`CameraPath.add`."""
         s.add(contribution, active, component)
         # The light of a map may be negative, by a correction at edges; a guide learns from positive values only.
-        s.found = s.found + dr.select(active, dr.maximum(mi.luminance(contribution), 0.0), 0.0)
+        value = dr.select(active, dr.maximum(mi.luminance(contribution), 0.0), 0.0)
+        s.found = s.found + value
+        odds = odds or _Odds(s.odds)
+        s.plain_square += value * (value * odds.all + 2.0 * odds.own * s.plain)
+        s.plain += value * odds.all / odds.aside

@@ -7,10 +7,10 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
-from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ def _rename(folder: Path, texts: list[str], moved: Mapping[str, str]) -> None:
         text = re.sub(r"<path\s[^>]*/>", "", path.read_text("utf-8"))
         for name, here in moved.items():
             for quote in "\"'":
-                text = text.replace(f"{quote}{escape(name)}{quote}", f"{quote}{escape(here)}{quote}")
+                text = text.replace(f"{quote}{escape(name, False)}{quote}", f"{quote}{escape(here, False)}{quote}")
         path.unlink()  # it is a link to a shared file
         path.write_text(text, "utf-8")
 
