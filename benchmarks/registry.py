@@ -63,6 +63,7 @@ PROGRAMS = {
                 Benchmark("cost", "cost.measure", 2, "Seconds of a pass, and of settings, relative to Mitsuba's path."),
                 Benchmark("renders", "renders.measure", 1, "Pictures of one sample by mi.render, prepared and anew."),
                 Benchmark("first-pass", "fresh.first_pass", 1, "The first pass, with and without compiled kernels."),
+                Benchmark("start", "fresh.start", 6, "From the command to the picture, beside Mitsuba's path."),
                 Benchmark("memory", "fresh.memory", 1, "Peak memory of a fresh process."),
                 Benchmark("rays", "rays.measure", 1, "Share of ray casting in a pass."),
                 Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),

@@ -188,6 +188,37 @@ def test_every_module_is_imported_without_a_variant():
     assert run_without_variant(code).strip() == "None"
 
 
+def test_names_that_are_imported_when_they_are_used():
+    """They are there, and none is that of another module, which an import of the module would put in its place."""
+    code = """
+import importlib, pathlib, pkgutil, sys, types
+for room in sys.argv[1:]:
+    package = importlib.import_module(room)
+    modules = {m.name for m in pkgutil.iter_modules(package.__path__)}
+    for name in [n for n in dir(package) if not n.startswith("_")]:
+        own = isinstance(getattr(package, name), types.ModuleType)
+        assert own or name not in modules, f"{room}.{name} is the name of a module"
+        assert own or getattr(package, name) is not None, name
+    try:
+        package.nothing
+    except AttributeError as error:
+        assert "nothing" in str(error)
+    else:
+        raise AssertionError(room)
+print("all")
+"""
+    rooms = [module_name(p) for p in FILES if "on_use(__name__)" in p.read_text("utf-8") and p.name == "__init__.py"]
+    assert len(rooms) > 10
+    assert run_without_variant(code, *rooms).strip() == "all"
+
+
+def test_the_package_imports_little():
+    """``import etendue`` comes before everything that a user does."""
+    code = "import sys, etendue\nprint(*(name for name in sys.modules if name.startswith('etendue.')))"
+    rooms = {name.split(".")[1] for name in run_without_variant(code).split()}
+    assert rooms <= {"core", "plugins", "methods", "scene"}, rooms
+
+
 def test_llvm_is_looked_for_before_drjit_is_imported():
     """Whichever room a script imports first: each in a process of its own, which ends where drjit is imported."""
     rooms = sorted({p.parent.name for p in SOURCE.glob("*/__init__.py")})

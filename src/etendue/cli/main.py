@@ -1,6 +1,6 @@
 """The command `etendue`. Every error of a user is one line on standard error with a non-zero exit status.
 
-Mitsuba, NumPy and the rest of étendue are imported inside the commands: `etendue --help` is immediate.
+What only some commands need is imported inside them, Mitsuba's variants above all.
 """
 
 from __future__ import annotations
