@@ -61,7 +61,7 @@ def start(
             for method in names:
                 words_of = ["render", file, "-m", method, "--spp", str(_SPP), "--size", shape, "-o", str(picture)]
                 commands[method] = [sys.executable, "-m", "etendue", *words_of]
-            seconds = {label: ([], []) for label in commands}  # type: dict[str, tuple[list[float], list[float]]]
+            seconds: dict[str, tuple[list[float], list[float]]] = {label: ([], []) for label in commands}
             for number in range(rounds):
                 console.print(f"{name}: round {number + 1} of {rounds}", highlight=False)
                 for label, command in commands.items():

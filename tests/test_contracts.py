@@ -191,7 +191,7 @@ def test_every_module_is_imported_without_a_variant():
 def test_names_that_are_imported_when_they_are_used():
     """They are there, and none is that of another module, which an import of the module would put in its place."""
     code = """
-import importlib, pathlib, pkgutil, sys, types
+import importlib, pkgutil, sys, types
 for room in sys.argv[1:]:
     package = importlib.import_module(room)
     modules = {m.name for m in pkgutil.iter_modules(package.__path__)}

@@ -346,3 +346,11 @@ def test_a_black_scene_is_no_error():
     method = prepared(problem, "auto", samples_per_pass=2, max_depth=0)
     assert not go(method, 3).mean.any()
     assert LEARNER not in FIXED.values()
+
+
+def test_a_preview_learns_nothing():
+    """A run of few samples; one of many learns."""
+    method = prepared(scenes.room("rectangle", scenes.FEW), "auto").method
+    for passes, brief in ((2, True), (1 << 20, False), (None, False)):
+        method.plan(None, passes, None)
+        assert (method._brief is not None) == brief

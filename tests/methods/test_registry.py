@@ -61,6 +61,8 @@ def test_registered_again(own):
 def test_derived_methods_have_integrators_of_their_own():
     assert (PathMethod.plugin_name(), methods.get("guided").plugin_name()) == ("", "guided")
     assert methods.by_plugin("guided") is methods.get("guided") and methods.by_plugin("path") is None
+    table = {method.plugin_name(): name for name, method in methods.table().items() if method.plugin_name()}
+    assert methods.plugins() == table  # the names that are known without importing the methods
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ _MOST_FULL = 8
 _GPU_FULL = 32
 #: Passes on a GPU, if there are as many samples: its passes are large, and an error is that between passes.
 _GPU_PASSES = 8
-#: Camera paths of a pass for methods that learn after each.
+#: Camera paths of a pass, or of a lot of one, for methods that learn after each.
 STEP_LANES = 1 << 17
 #: Memory of a camera path during its pass, in bytes.
 _LANE_BYTES = 64
