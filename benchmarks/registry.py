@@ -65,6 +65,7 @@ PROGRAMS = {
                 Benchmark("first-pass", "fresh.first_pass", 1, "The first pass, with and without compiled kernels."),
                 Benchmark("start", "fresh.start", 6, "From the command to the picture, beside Mitsuba's path."),
                 Benchmark("memory", "fresh.memory", 1, "Peak memory of a fresh process."),
+                Benchmark("media", "media.measure", 25, "Error in fog and water beside Mitsuba's volpath."),
                 Benchmark("rays", "rays.measure", 1, "Share of ray casting in a pass."),
                 Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),

@@ -35,7 +35,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "malformed.xml").write_text('<scene version="3.0.0"><sensor></scene>')
     scene("no-emitter.xml", SENSOR + '<shape type="sphere"/>')
     scene("no-sensor.xml", LIGHT + '<shape type="sphere"/>')
-    medium = '<medium name="interior" type="homogeneous"/>'
+    albedo = '<float name="albedo" value="1.5"/>'
+    medium = f'<medium name="interior" type="homogeneous">{albedo}</medium>'
     scene("medium.xml", SENSOR + LIGHT + f'<shape type="sphere">{medium}</shape>')
     texture = '<texture name="reflectance" type="bitmap"><string name="filename" value="no.png"/></texture>'
     scene("texture.xml", SENSOR + LIGHT + f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>')

@@ -18,8 +18,8 @@ SAMPLES = 500_000
 #: Mitsuba's level, at which one pixel of a picture is called different, and the share of values that have to agree.
 LEVEL, AGREEING = 0.01, 0.9975
 FOLDER = SCENES / "mitsuba-data" / "tests" / "scenes"
-#: Scenes are named after the integrator of the reference; those of participating media are not supported.
-FILES = [file for file in sorted(FOLDER.glob("*/*.xml")) if not file.stem.endswith(("volpath", "volpathmis"))]
+#: Scenes are named after the integrator of the reference; heterogeneous media are not supported.
+FILES = [file for file in sorted(FOLDER.glob("*/*.xml")) if not file.stem.startswith("test_hetero")]
 
 
 def _xyz(picture: mi.Bitmap) -> np.ndarray:
@@ -36,7 +36,8 @@ def test_mitsuba_s_references(file: Path, method: str) -> None:
         _xyz(mi.Bitmap(str(file.parent / "refs" / f"{name}_ref_rgb{part}.exr"))) for part in ("", "_var")
     )
     pixels = reference.shape[0] * reference.shape[1]
-    samples = SAMPLES // pixels
+    # In fog few paths bring much of the light: with fewer samples volpath itself fails the test.
+    samples = SAMPLES // pixels * (8 if integrator == "volpath" and method == "own" else 1)
     depth = {"max_depth": 2} if integrator == "direct" else {}
     if method == "own":
         method = "light" if integrator == "ptracer" else "path"

@@ -249,12 +249,13 @@ def test_wrong_parameters(wrong, text):
 
 
 def test_unsupported_elements_keep_their_text():
-    scene = box("vcm") | {"fog": {"type": "sphere", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}}
+    medium = {"type": "heterogeneous", "albedo": 0.5, "sigma_t": 1.0, "id": "smoke"}
+    scene = box("vcm") | {"fog": {"type": "sphere", "interior": medium, "bsdf": {"type": "null"}}}
     loaded = mi.load_dict(scene)
     with pytest.raises(RuntimeError) as caught:
         mi.render(loaded, spp=1)
-    assert "'fog' of type 'sphere'" in str(caught.value.__cause__)
-    with pytest.raises(UnsupportedError, match="'fog' of type 'sphere'"):
+    assert "of type 'heterogeneous'" in str(caught.value.__cause__)
+    with pytest.raises(UnsupportedError, match="of type 'heterogeneous'"):
         loaded.integrator().render(loaded, spp=1)
 
 

@@ -8,7 +8,7 @@ import pytest
 from support.tables import FAST_SCENES, crossed, thinned
 
 from etendue import methods
-from etendue.core import Replica
+from etendue.core import Replica, UnsupportedError
 from etendue.scene import bundled, load
 from etendue.scene.meshes import brilliant, height_field, lathe, smooth
 
@@ -138,6 +138,7 @@ def has_chains(method):
 
 #: Where few of many paths find light, or scenes are large: the bootstrap of chains takes up to half a minute.
 SLOW_STARTS = {"gaps", "flat", "six-cubes"}
+MEDIA = ("fog", "aquarium")
 ROWS = [
     row
     for row in crossed(FAST_SCENES, methods.table(), 6)
@@ -151,6 +152,10 @@ def test_every_method_renders_it(name, method):
     cls = methods.get(method)
     fewer = {"bootstrap": 1 << 13} if has_chains(method) else {}
     runner = cls(cls.Settings.from_mapping({"max_depth": 6, "samples_per_pass": 8} | fewer))
+    if name in MEDIA and cls.media != "scattering":
+        with pytest.raises(UnsupportedError, match="scatters light"):
+            runner.prepare(problem, 1)
+        return
     runner.prepare(problem, 1)
     replica = Replica(runner, 1)
     measurement = replica.step(0)

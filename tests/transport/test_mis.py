@@ -22,7 +22,7 @@ import pytest
 from support.tables import crossed, thinned
 
 from etendue.core import OptionError, on_device
-from etendue.transport import GRAZING, Counts, Mis, SingleTechnique, Techniques
+from etendue.transport import GRAZING, Counts, Mis, Passing, SingleTechnique, Techniques
 
 #: Random paths for each pattern of specular vertices.
 COPIES = 8
@@ -32,7 +32,8 @@ Key = tuple[str, int]
 
 class Paths:
     """Random paths of ``k`` edges, ``COPIES`` for each pattern of specular inner vertices, one lane each. ``chooses``:
-    connections prefer some light vertices; ``varies``: the merging disc differs from vertex to vertex."""
+    connections prefer some light vertices; ``varies``: the merging disc differs from vertex to vertex; ``media``: edges
+    pass media of three colours, and half of the vertices that are not specular are in one."""
 
     def __init__(
         self,
@@ -43,6 +44,7 @@ class Paths:
         pick: float = 0.3,
         chooses: bool = False,
         varies: bool = False,
+        media: bool = False,
     ) -> None:
         random = np.random.default_rng(seed + 100 * k + 7 * LIGHTS.index(light))
         self.k, self.light, self.splattable = k, light, splattable
@@ -85,6 +87,19 @@ class Paths:
         #: Area of the merging disc at x_j, relative to the largest.
         self.share = draw(0.01, 1.0, k) if varies else np.ones((k, self.lanes))
 
+        self.media = media
+        #: Of edge j by channel: the probability of passing it; and extinction at x_j, 1 on a surface.
+        self.passing = np.exp(-draw(0.01, 3.0, k, 3)) if media else np.ones((k, 3, self.lanes))
+        self.extinction = np.ones((k + 1, 3, self.lanes))
+        for j in range(1, k) if media else ():
+            inside = ~self.is_specular(j) & (random.random(self.lanes) < 0.5)
+            self.extinction[j][:, inside] = draw(0.1, 5.0, 3)[:, inside]
+            self.cos_in[j][inside] = self.cos_out[j][inside] = 1.0
+
+    def found(self, edge: int, j: int) -> np.ndarray:
+        """Factor of an edge on the density of finding its end x_j, beside cosine and distance."""
+        return np.mean(self.passing[edge] * self.extinction[j], axis=0)
+
     def is_specular(self, j: int) -> np.ndarray:
         return self.specular[:, j - 1]
 
@@ -96,22 +111,23 @@ class Paths:
 
     def light_density(self, j: int) -> np.ndarray:
         """Of a light sub-path x_0 .. x_j made by emission and scattering (j >= 1)."""
-        p = self.p_emit * self.cos_in[1]
+        p = self.p_emit * self.cos_in[1] * self.found(0, 1)
         if self.light != "infinite":  # else it is the disc's area, projected onto the surface: no distance
             p = p / self.d2[0]
         for i in range(1, j):
-            p = p * self.forward[i] * self.cos_in[i + 1] / self.d2[i]
+            p = p * self.forward[i] * self.cos_in[i + 1] * self.found(i, i + 1) / self.d2[i]
         return p
 
     def camera_density(self, j: int) -> np.ndarray:
         """Of a camera sub-path x_{k-1} .. x_j, given the pixel (1 <= j, or 0 for a hit of the light)."""
         # A sensor that cannot be splatted from still traces rays: its density is common to all that is left.
-        p = (self.pixel if self.splattable else 1.0) * self.cos_out[self.k - 1] / self.d2[self.k - 1]
+        last = self.k - 1
+        p = (self.pixel if self.splattable else 1.0) * self.cos_out[last] * self.found(last, last) / self.d2[last]
         for i in range(self.k - 1, j, -1):
             if i == 1 and self.light == "infinite":
-                p = p * self.reverse[1]  # per solid angle: the light has no place
+                p = p * self.reverse[1] * self.found(0, 0)  # per solid angle: the light has no place
             else:
-                p = p * self.reverse[i] * self.cos_out[i - 1] / self.d2[i - 1]
+                p = p * self.reverse[i] * self.cos_out[i - 1] * self.found(i - 1, i - 1) / self.d2[i - 1]
         return p
 
     # ---- techniques
@@ -167,6 +183,17 @@ class Paths:
         chances = _floats(self.ratio)
         direct, emit, cos_light, pixel = _floats([self.p_direct, self.p_emit, self.cos_light, self.pixel])
 
+        def passing(edge: int, start: int, end: int) -> Passing | None:
+            if not self.media:
+                return None
+            return Passing(*_floats([self.found(edge, end), self.found(edge, start)]))
+
+        def passed(state: Any, edge: Passing | None) -> Any:
+            return state if edge is None else mis.passed(*state, edge)
+
+        def factor(edge: int, j: int) -> Any:
+            return _floats([self.found(edge, j)])[0] if self.media else 1.0
+
         light: dict[int, Any] = {}
         waiting = mi.Float(0.7) if self.light == "sphere" else direct  # the density is known at the first hit
         state = mis.start_light(waiting, emit, cos_light, delta)
@@ -174,7 +201,7 @@ class Paths:
             if j == 1 and self.light == "sphere":
                 state = mis.lit(state[0], direct / waiting), state[1]
             distance = mi.Float(1.0) if j == 1 and self.light == "infinite" else d2[j - 1]
-            state = mis.hit(*state, distance, cos_in[j])
+            state = mis.hit(*passed(state, passing(j - 1, j - 1, j)), distance, cos_in[j])
             state = light[j] = mis.chosen(state[0], chances[j - 1] if j > 1 and self.chooses else None), state[1]
             state = here[j].scatter_light(
                 *state, cos_in[j], cos_out[j], forward[j], reverse[j], on_device(mi.Bool, self.is_specular(j)), first(j)
@@ -184,15 +211,17 @@ class Paths:
         state = mis.start_camera(pixel)
         left = mis.nothing_left(1)
         for j in range(k - 1, 0, -1):
-            state = mis.hit(*state, d2[j], cos_out[j])
+            edge = passing(j, j + 1, j)
+            state = mis.hit(*passed(state, edge), d2[j], cos_out[j])
             if left is not None:
-                state = state[0], mis.completed(state[1], left, cos_out[j])
+                state = state[0], mis.completed(state[1], left, cos_out[j], edge)
             chosen = chances[j] if j < k - 1 and self.chooses else None
             state = camera[j] = mis.joined(depth(k, j), state[0], chosen), state[1]
             specular = on_device(mi.Bool, self.is_specular(j))
             if left is not None:
                 left = here[j].left_out(depth(k, j), state[0], cos_in[j], reverse[j], specular)
             state = here[j].scatter_camera(depth(k, j), *state, cos_in[j], reverse[j], forward[j], specular)
+        state = passed(state, passing(0, 1, 0))
         if self.light != "infinite":
             state = mis.hit(*state, d2[0], cos_out[0])
 
@@ -205,12 +234,12 @@ class Paths:
                     pdf = direct
                     if self.light != "infinite":
                         pdf = pdf * d2[0] / cos_light
-                    ratio = emit * cos_in[1] / (pdf * cos_light)
-                    hit = mi.Float(0.0) if self.light == "delta" else reverse[1]
+                    ratio = emit * cos_in[1] / (pdf * cos_light) * factor(0, 1)
+                    hit = mi.Float(0.0) if self.light == "delta" else reverse[1] * factor(0, 0)
                     weight = here[1].next_event_weight(depth(k, 1), *camera[1], cos_in[1], hit, forward[1], pdf, ratio)
                 case "connection":
-                    to_light = reverse[j + 1] * cos_out[j] / d2[j]
-                    to_camera = forward[j] * cos_in[j + 1] / d2[j]
+                    to_light = reverse[j + 1] * cos_out[j] / d2[j] * factor(j, j)
+                    to_camera = forward[j] * cos_in[j + 1] / d2[j] * factor(j, j + 1)
                     ends = camera[j + 1], light[j]
                     cosines = cos_in[j + 1], cos_in[j]
                     weight = here[j + 1].connection_weight(
@@ -226,7 +255,8 @@ class Paths:
                         here[j],
                     )
                 case "splat":
-                    weight = here[j].splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
+                    density = pixel * cos_out[j] / d2[j] * factor(j, j)
+                    weight = here[j].splat_weight(*light[j], cos_in[j], reverse[j], density)
                 case _:
                     weight = here[j].merge_weight(camera[j], light[j], reverse[j], forward[j])
             weights[family, j] = weight.ratios if candidates else weight[-1]
@@ -310,6 +340,7 @@ def test_weights_are_those_of_the_definition(name, light, beta):
         assert sum(check(Paths(k, light, chooses=True), techniques) for k in (3, 4, 5)) > 0
     if techniques.merge:
         assert sum(check(Paths(k, light, varies=True), techniques) for k in (2, 3, 4, 5)) > 0
+    assert sum(check(Paths(k, light, varies=techniques.merge, media=True), techniques) for k in (1, 2, 3, 4, 5)) > 0
 
 
 @pytest.mark.parametrize("beta", [1, 2])
@@ -325,9 +356,9 @@ def test_several_radii_in_one_walk(name, light, beta):
     """The recursion without a radius, filled in last, gives the same weights."""
     techniques = dataclasses.replace(TABLE[name], beta=beta)
     chooses = bool(techniques.connection)
-    assert (
-        sum(check(Paths(k, light, chooses=chooses, varies=True), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
-    )
+    for media in (False, True):
+        paths = [Paths(k, light, chooses=chooses, varies=True, media=media) for k in (2, 3, 4)]
+        assert sum(check(some, techniques, more=(2.0, 0.01)) for some in paths) > 0
 
 
 #: Connections, eta and light paths.
@@ -342,7 +373,7 @@ def test_denominators_for_other_counts(name, light, beta):
     candidates = [Counts(float(n), float(k), e) for k, e, n in OTHER_COUNTS]
     checked = 0
     for k in (2, 3, 4):
-        paths = Paths(k, light, chooses=bool(t.connection), varies=True)
+        paths = Paths(k, light, chooses=bool(t.connection), varies=True, media=k > 2)
         used = paths.products(t, eta, light_paths)
         total = sum(product**beta for product in used.values())
         ratios = paths.computed(used, t, eta, light_paths, candidates=candidates)

@@ -30,7 +30,8 @@ def test_points_of_a_ball_are_seen_through_sheets(sheets):
     facing = -(way * ends).sum(1) / distance > np.cos(np.radians(89.0))
     at = in_space(starts[facing])
     ray = at.spawn_ray_to(mi.Point3f(*ends[facing].T.astype(np.float32)))
-    seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    sight = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    seen, share = sight.visible, sight.transmittance
     assert facing.sum() > 5000
     assert np.asarray(seen).mean() > 0.999
     assert np.asarray(share).min() == 1.0
@@ -56,7 +57,8 @@ def test_an_endless_ray_is_blocked_behind_sheets(sheets, reach):
     starts = in_space(np.array([[1.0, 0.5, 0.0], [-1.0, 0.5, 0.0]]))  # before the wall, and beside it
     ray = starts.spawn_ray(mi.Vector3f(0.0, 0.0, 1.0))
     ray.maxt = mi.Float(float(reach))
-    seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    sight = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    seen, share = sight.visible, sight.transmittance
     assert np.asarray(seen).tolist() == [False, True]
     assert np.asarray(share)[0].tolist() == [0.0, 1.0]
 
@@ -78,7 +80,7 @@ def test_sheets_of_instances_attenuate_and_walls_of_instances_block():
     starts = in_space(np.array([[1.0, 0.2, -3.0], [-1.0, 0.2, -3.0], [9.0, 0.2, -3.0]]))
     ray = starts.spawn_ray(mi.Vector3f(0.0, 0.0, 1.0))
     for spare, expected in ((8, [0.75**2, 0.0, 1.0]), (1, [0.0, 0.0, 1.0]), (0, [0.0, 0.0, 1.0])):
-        _, share = visibility.along(ray, mi.UInt32(spare), mi.Bool(True))
+        share = visibility.along(ray, mi.UInt32(spare), mi.Bool(True)).transmittance
         np.testing.assert_allclose(np.asarray(share)[0], expected, rtol=1e-5)
 
 
@@ -101,8 +103,10 @@ def test_opaque_meshes_tested_first_change_nothing():
 
     starts, ends = rng.uniform(-4.0, 4.0, (2, 20000, 3))
     ray = in_space(starts).spawn_ray_to(mi.Point3f(*ends.T.astype(np.float32)))
-    seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
-    expected, expected_share = plain.along(ray, mi.UInt32(8), mi.Bool(True))
+    sight = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    seen, share = sight.visible, sight.transmittance
+    reference = plain.along(ray, mi.UInt32(8), mi.Bool(True))
+    expected, expected_share = reference.visible, reference.transmittance
     assert (visibility._opaque is None) == (dr.backend_v(mi.Float) != dr.JitBackend.LLVM)
     assert 0.5 < np.asarray(seen).mean() < 0.9
     np.testing.assert_array_equal(np.asarray(seen), np.asarray(expected))

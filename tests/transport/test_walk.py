@@ -12,7 +12,7 @@ from support import scenes
 
 from etendue.core import IndependentSource
 from etendue.scene import LightTable
-from etendue.transport import CameraPath, Scattered, Visibility, Walker
+from etendue.transport import CameraPath, DirectWeights, Scattered, Visibility, Walker
 
 N = 1 << 14
 HEIGHT, ALBEDO, INTENSITY = 2.0, 0.6, 3.0
@@ -85,11 +85,11 @@ def test_a_light_point_brings_what_a_point_light_does(x):
         vertex = tracer.arrive(path)
         light = tracer.light_point(vertex, numbers(), path.active & vertex.smooth)
         _, (f,) = vertex.sample(numbers(), path.active, [light])
-        found, seen = tracer.next_event(path, vertex, light, f, mi.Float(1.0))
+        found, seen = tracer.next_event(path, vertex, light, f, DirectWeights("next_event"))
         assert np.asarray(seen).all()
         np.testing.assert_allclose(np.asarray(found), expected, rtol=1e-4)
         assert set(np.asarray(path.rays).tolist()) == {2}
-        _, seen = tracer.next_event(path, vertex, light, f, mi.Float(1.0), wanted=mi.Bool(False))
+        _, seen = tracer.next_event(path, vertex, light, f, DirectWeights("next_event"), wanted=mi.Bool(False))
         assert not np.asarray(seen).any()
         assert set(np.asarray(path.rays).tolist()) == {2}
 

@@ -114,6 +114,7 @@ class AmbientPath(_Ambient, Path):
     Settings: ClassVar[type[ImageSettings]] = AmbientPathSettings
     settings: AmbientPathSettings
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Kajiya1986")
+    media: ClassVar[str | None] = None
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """See :class:`ImageMethod`; paths end early."""
@@ -131,6 +132,7 @@ class AmbientLight(_Ambient, LightTracing):
     Settings: ClassVar[type[ImageSettings]] = AmbientLightSettings
     settings: AmbientLightSettings
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Arvo1986")
+    media: ClassVar[str | None] = None
 
     @property
     def reflected(self) -> int:  # type: ignore[override]

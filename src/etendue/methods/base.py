@@ -27,13 +27,14 @@ from etendue.core import (
     Settings,
     SquaresOf,
     State,
+    UnsupportedError,
     free_memory,
     setting,
     uses_cuda,
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Problem, graph
+from etendue.scene import LightTable, Problem, coefficients, graph, media_of
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -194,6 +195,8 @@ class ImageMethod(Method):
     in_the_dark: ClassVar[type[ImageMethod] | None] = None
     #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+    #: Participating media that the method renders: "absorbing", "scattering" (both kinds), or None.
+    media: ClassVar[str | None] = "absorbing"
     recording = Recording()  #: of the rays of the next walks
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
@@ -216,15 +219,28 @@ class ImageMethod(Method):
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
+        self._check_media(problem)
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
-        self.lights, self.visibility = LightTable(problem.scene), Visibility(problem.scene)
+        self.lights, self.visibility = LightTable(problem.scene), Visibility(problem.scene, problem.sensor)
         self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
         self._shapes = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
+
+    def _check_media(self, problem: Problem) -> None:
+        """Raise :class:`UnsupportedError` if the scene has media that the method cannot render."""
+        for medium in media_of(problem.scene, problem.sensor):
+            scatters = bool(coefficients(medium)[1].any())
+            if self.media is None or (scatters and self.media != "scattering"):
+                what = "scatters light" if scatters else "absorbs light"
+                others = "auto, vcm, bpt, sppm or path" if scatters else "auto, vcm, bpt or path"
+                raise UnsupportedError(
+                    f"{graph.describe(medium, 'medium')} {what}, which method '{self.name}' does not render; use "
+                    f"{others}"
+                )
 
     def bind(self, scene: mi.Scene | None) -> None:
         """Set the scene for which the method was prepared, or release it (``None``) until the next run."""
@@ -432,9 +448,9 @@ class ImageMethod(Method):
 
 def _first_edge(s: CameraPath, walker: Walker, source: SampleSource) -> CameraPath:
     """Record an edge of a path that mirrors and glass only scatter."""
-    vertex = walker.arrive(s)
+    vertex = walker.arrive(s, source)
     walker.emission(s, vertex)
-    s.active &= vertex.valid & (s.depth < walker.max_edges)
+    s.active &= vertex.valid & walker.goes_on(s, vertex)
     scattered, _ = vertex.sample(source, s.active)
     walker.advance(s, vertex, scattered, source)
     s.active &= False if s.through is None else s.through

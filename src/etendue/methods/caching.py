@@ -80,6 +80,7 @@ class IrradianceCaching(Carrying, Path):
     settings: Any
     citations: ClassVar[tuple[str, ...]] = ("Ward1988", "WardHeckbert1992", *Path.citations)
     carries_on: ClassVar[bool] = True
+    media: ClassVar[str | None] = None
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`; the cache is empty."""

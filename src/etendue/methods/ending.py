@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import CheckpointError, OptionError, State, logger, setting
+from etendue.core import CheckpointError, OptionError, State, UnsupportedError, logger, setting
 from etendue.scene import Problem
 from etendue.surfaces import NearestMap, SurfaceMap, read_map
 from etendue.transport import CameraPath, EndingGuidedWalk, EndingWalker, GuidedWalk, MapEnd, Walker, light_of_map
@@ -61,6 +61,8 @@ class EndsInMap(ImageMethod):
         """See :class:`ImageMethod`. Reads the map."""
         super().prepare(problem, seed)
         name = getattr(self.settings, "map", "")
+        if (name or self.map is not None) and self.visibility.media is not None:
+            raise UnsupportedError("paths cannot end in a map in a scene with participating media; leave out map")
         if name:
             self.map = read_map(name, problem)
             with open(name, "rb") as file:

@@ -106,6 +106,7 @@ class Guided(Carrying, EndsInMap):
     settings: GuidedSettings
     citations: ClassVar[tuple[str, ...]] = ("Muller2017", "Muller2019", "Vorba2016", "Shirley1997", *Path.citations)
     carries_on: ClassVar[bool] = True
+    media: ClassVar[str | None] = "scattering"
     #: A lot is a pass at most: five generations of training and a pass, if a budget has the samples.
     least_passes = 32
 

@@ -67,6 +67,7 @@ class LightTracing(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = LightSettings
     settings: LightSettings
     citations: ClassVar[tuple[str, ...]] = ("Arvo1986", "Veach1997")
+    media: ClassVar[str | None] = "scattering"
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Raises :class:`UnsupportedError` for a sensor that points cannot be connected
@@ -188,7 +189,8 @@ class LightTracing(Carrying, ImageMethod):
         active &= place.on_film & ~dr.all(contribution == 0.0)
         rays = ones(active)
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
-        active, transmittance = self.visibility.along(ray, crossings, active)
-        contribution *= transmittance
+        sight = self.visibility.along(ray, crossings, active, self.visibility.medium_outside(light.row, ray))
+        active = sight.visible
+        contribution *= sight.transmittance
         found = Contribution([contribution], contribution, active, active)
         return rays, sink.add(mi.UInt32(1), place, found, mi.UInt32(Component.EMISSION))

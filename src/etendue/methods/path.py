@@ -80,6 +80,7 @@ class Path(EndsInMap):
     Settings: ClassVar[type[ImageSettings]] = EndingPathSettings
     settings: PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
+    media: ClassVar[str | None] = "scattering"
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Twice as many: a pass is short, and its fixed cost counts."""
@@ -144,12 +145,12 @@ def traced(ray: mi.Ray3f, walker: Walker, weights: DirectWeights, source: Sample
 
 def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
     """The j-th term of the sum: trace the edge to z_j, and scatter."""
-    vertex = walker.arrive(s)
+    vertex = walker.arrive(s, source)
 
     # ---- Emission: alpha_j w^e_j L_e(z_j)
     hit = walker.emission(s, vertex)
     s.add(s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf), hit.active, s.seen)
-    s.active &= vertex.valid & (s.depth < walker.max_edges)
+    s.active &= vertex.valid & walker.goes_on(s, vertex)
 
     # ---- Sample a light point y and a direction; one call of the BSDF for both
     lights = [walker.light_point(vertex, source, s.active & vertex.smooth)] if weights.next_event else []
@@ -157,7 +158,7 @@ def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSo
 
     # ---- Next event: alpha_j w^d_j f_s(z_j) |cos| L_e(y) / p(y), if y is visible
     for light, f in zip(lights, evaluated, strict=True):
-        contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+        contribution, visible = walker.next_event(s, vertex, light, f, weights)
         s.add(contribution, visible, s.lit)
 
     # ---- Advance: alpha_j+1 = alpha_j f_s(z_j) |cos| / p_s(z_j+1), and Russian roulette

@@ -11,8 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import IndependentSource, OptionError
+from etendue.density import KdTree
 from etendue.scene import Problem, materials
-from etendue.transport import Gather, Places, Walker, first_smooth
+from etendue.transport import Gather, LightVertices, Places, Walker, first_collisions, first_smooth
 
 from .base import ImageMethod
 
@@ -28,6 +29,13 @@ UNIT_DOC = (
     "distance of the surface from the camera (pixel), or scene units (absolute)"
 )
 RADIUS_DOC = "0: by the width of a pixel at the distance of the surface from the camera (1.5 of them in 256x256 pixels)"
+BALL_DOC = "0: so that a ball in which camera paths collide holds a few light vertices"
+#: The radius in media over that on surfaces, if the setting is 0: before a pilot, and its limits.
+_BALL, _BALLS = 2.0, (0.5, 12.0)
+#: Most of such a radius in mean free paths: light changes within one, most of all at a boundary.
+_IN_FREE_PATH = 0.1
+#: Light vertices in a ball, and the neighbour in a pilot by whose distance their density is measured.
+_IN_BALL, _NEIGHBOUR = 2.0, 4
 #: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
 #: Most photons of a pass in a disc, in the mean over the pixels. Tuned on ``cornell-glass`` and ``veach-bidir``, where
@@ -85,6 +93,65 @@ class FirstRadius:
     def share(self, position: mi.Point3f) -> mi.Float:
         """Area of the disc at a position, relative to that of the largest radius."""
         return mi.Float(1.0) if self.places is None else self.places.share(position)
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Merging in media: light vertices within a ball. Its volume is proportional to the area of the largest disc on
+    surfaces, so that both are reduced alike: the area by r^2, the volume by r^3 [KnausZwicker 2011]."""
+
+    thickness: float = 0.0  #: volume over area, render space; 0: no merging in media
+
+    def radius(self, disc: float) -> float:
+        """Radius of the ball of a pass; ``disc``: the largest radius on surfaces."""
+        return float(0.75 * self.thickness * disc**2) ** (1.0 / 3.0)
+
+
+def first_balls(method: ImageMethod, discs: FirstRadius, radius: float, unit: str, photons: Pilot | None) -> Balls:
+    """The balls of the first pass of a prepared method. ``discs``: the discs of that pass; ``radius``, ``unit``: the
+    settings; ``photons``: those of a pilot, by which an automatic radius is chosen: so that a ball around a point at
+    which camera paths first collide holds :data:`_IN_BALL` of the light vertices that are traced for one camera path of
+    each pixel, but is not wide against the free paths."""
+    noted, scale = method.notes["merge_radius"], method.problem.space.scale
+    disc = noted["scene_units"] * scale
+    units = {"scene": half_diagonal(method), "absolute": scale, "pixel": disc / noted["pixels"]}
+    ball = radius * units[unit] if radius else _BALL * disc
+    if not radius and photons is not None and (distance := photons.distance(method)):
+        ball = min(max(distance, _BALLS[0] * disc), _BALLS[1] * disc)
+    if not radius and method.visibility.media is not None:
+        ball = min(ball, _IN_FREE_PATH / method.visibility.media.densest)
+    method.notes["volume_radius"] = {"scene_units": float(f"{ball / scale:.4g}")}
+    return Balls(4.0 / 3.0 * ball**3 / discs.largest**2)
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """Light vertices of ``paths`` light paths, for the radius in media; ``per_pixel``: light paths per camera path."""
+
+    vertices: LightVertices
+    paths: int
+    per_pixel: float
+
+    def distance(self, method: ImageMethod) -> float | None:
+        """Radius of a ball as :func:`first_balls` describes it, in the median over the points; None if camera paths or
+        light paths do not collide."""
+        positions, _, held = self.vertices.positions(in_media=True)
+        tree = KdTree(positions, held)
+        lanes = dr.arange(mi.UInt32, min(method.camera.pixels, 1 << 12))
+        source = IndependentSource(lanes, 0, "pilot collisions", 0)
+        pixel = mi.UInt32(mi.Float(method.camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
+        ray, _, _ = method.camera.primary(dr.minimum(pixel, method.camera.pixels - 1), source)
+        point, reached = first_collisions(method.walker(Walker), ray, source)
+        far = dr.opaque(mi.Float, (2.0 * half_diagonal(method)) ** 2)
+        squared = tree.kth_distance_squared(point, dr.opaque(mi.UInt32, _NEIGHBOUR), far, reached)
+        dr.eval(squared, reached)
+        found = np.array(squared)[np.array(reached)]
+        if tree.count < _NEIGHBOUR or len(found) < _NEIGHBOUR:
+            return None
+        share = _IN_BALL / _NEIGHBOUR * self.paths / (self.per_pixel * method.camera.pixels)
+        # In steps, so that rounding on another device does not change the picture.
+        distance = math.sqrt(float(np.median(found))) * share ** (1.0 / 3.0)
+        return 2.0 ** (round(8.0 * math.log2(distance)) / 8.0)
 
 
 def bounded(method: ImageMethod, first: FirstRadius, gather: Gather, share: float) -> FirstRadius:

@@ -98,7 +98,7 @@ class LightRays:
     """Light paths of one scene, with its lights and geometry at the time of construction."""
 
     def __init__(self, problem: Problem) -> None:
-        self.lights, self._visibility = LightTable(problem.scene), Visibility(problem.scene)
+        self.lights, self._visibility = LightTable(problem.scene), Visibility(problem.scene, problem.sensor)
 
     def trace(self, light: int | None, paths: int, seed: int = 0) -> Rays:
         """Light paths from the light with a number in ``scene.emitters()``; ``None``: from all, by power. Raises
@@ -140,9 +140,10 @@ class LightRays:
             proposal=scatter_light,
             rays=WalkRecorder(recorder, Edge.LIGHT, number),
         )
+        path.flight = walker.flight_from(emitted.light, emitted.ray)
 
         def edge(s: SubPath) -> SubPath:
-            vertex = walker.arrive(s)
+            vertex = walker.arrive(s, source)
             s.active &= vertex.valid & (vertex.number < most)
             scattered, _ = vertex.sample(source, s.active)
             walker.advance(s, vertex, scattered, source, (s.throughput * scattered.weight / whole, mi.Float(1.0)))

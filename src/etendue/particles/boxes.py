@@ -10,7 +10,7 @@ undivided scene. This applies the parameterisation of paths by voxels of [Leeson
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -194,7 +194,7 @@ class BoxWalk(ParticleWalk):
     def emitted(self, paths: int, source: SampleSource, number: mi.UInt32) -> NDArray[np.uint32]:
         """Records of light paths before their first edge."""
         start = self.start(paths, source)
-        known = {name: getattr(start, name) for name in LightPath.__dataclass_fields__}
+        known = {field.name: getattr(start, field.name) for field in fields(LightPath)}
         path = BoxedPath(**known, number=number)
         packets = _packets(path, self.grid.of_points_on_device(start.ray.o))
         active = mi.Bool(start.active)
@@ -203,9 +203,9 @@ class BoxWalk(ParticleWalk):
         rows = np.stack(words, axis=1).astype(np.float32, copy=False).view(np.uint32)
         return np.ascontiguousarray(rows[np.broadcast_to(np.asarray(active), (paths,))])
 
-    def arrive(self, s: SubPath) -> WalkVertex:
+    def arrive(self, s: SubPath, source: SampleSource | None = None) -> WalkVertex:
         """Trace the next edge within the box."""
-        vertex = super().arrive(s)
+        vertex = super().arrive(s, source)
         end, self._behind = self._exit(s.ray)
         inside = vertex.valid & (vertex.si.t <= end)
         self._crossing = s.active & ~inside & (end < dr.inf)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     )
     from .fingerprints import fingerprint as fingerprint
     from .graph import materials as materials
+    from .immersion import check_media as check_media, media_in as media_in, medium_at as medium_at
     from .lamps.placement import (
         lamps_in_surfaces as lamps_in_surfaces,
         remarks_on as remarks_on,
@@ -44,6 +45,13 @@ if TYPE_CHECKING:
         integrator_of as integrator_of,
         load as load,
         locate as locate,
+    )
+    from .media import (
+        Media as Media,
+        coefficients as coefficients,
+        is_phase as is_phase,
+        media_of as media_of,
+        refuse_media as refuse_media,
     )
     from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
     from .meshes import box as box, joined as joined

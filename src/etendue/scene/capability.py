@@ -16,6 +16,7 @@ from .changes.transforms import fault, mirrors, misshapen
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
+from .media import coefficients, media_of
 from .space import SENSORS
 
 if TYPE_CHECKING:
@@ -56,6 +57,12 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
         raise SceneError("the scene has no shape, so there is nothing to render; add geometry")
     for shape in every_shape:
         _check_shape(shape)
+    if found := media_of(scene, sensor):
+        from .immersion import check_media
+
+        for medium in found:
+            _check_medium(medium)
+        check_media(scene, sensor)
     if not scene.emitters():
         raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
     for emitter in scene.emitters():
@@ -78,8 +85,6 @@ def _check_sensor(sensor: mi.Sensor) -> None:
     name = describe(sensor, "sensor")
     if plugin_name(sensor) not in SENSORS:
         raise UnsupportedError(f"{name} is not supported; {_SENSOR_REMEDY}")
-    if sensor.get_medium() is not None:
-        raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")
     film = sensor.film()
     if plugin_name(film) != "hdrfilm":
         raise UnsupportedError(f"{describe(film, 'film')} is not supported; use 'hdrfilm'")
@@ -94,10 +99,6 @@ def _check_shape(shape: mi.Shape) -> None:
     import mitsuba as mi
 
     name = describe(shape, "shape")
-    if shape.interior_medium() is not None or shape.exterior_medium() is not None:
-        raise UnsupportedError(
-            f"{name} bounds a participating medium, which is not supported; remove its interior and exterior medium"
-        )
     values = dict(contents(shape).values)
     if not shape.is_mesh() and plugin_name(shape) not in _SHAPES:
         raise UnsupportedError(f"{name} is not supported; convert it to a mesh")
@@ -134,8 +135,6 @@ def _check_emitter(emitter: mi.Emitter) -> None:
         name += f" on {describe(shape, 'shape')}"
     if kind not in _EMITTERS:
         raise UnsupportedError(f"{name} is not supported; use one of: {', '.join(_EMITTERS)}")
-    if emitter.get_medium() is not None:
-        raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")
     for node in below(emitter):
         _check_values(node, name)
     if kind == "projector":
@@ -149,6 +148,27 @@ def _check_emitter(emitter: mi.Emitter) -> None:
             f"{name} is lit in its first or last row, beside dark texels, where Mitsuba does not sample it; give the "
             "scene as a file or a dictionary of plugins, or the picture twice as many rows"
         )
+
+
+def _check_medium(medium: mi.Medium) -> None:
+    import mitsuba as mi
+
+    name = describe(medium, "medium")
+    if plugin_name(medium) != "homogeneous":
+        raise UnsupportedError(f"{name} is not supported; use a 'homogeneous' one")
+    for node in below(medium):
+        if isinstance(node, mi.Volume) and plugin_name(node) != "constvolume":
+            raise UnsupportedError(
+                f"{name} has a {describe(node, 'volume')}, which is not supported; use numbers or colours"
+            )
+        _check_values(node, name)
+    extinction, scattering = coefficients(medium)
+    if not (np.isfinite(extinction).all() and np.isfinite(scattering).all()):
+        raise SceneError(f"{name} has an extinction or albedo that is not a finite number; correct it in the scene")
+    if (extinction < 0.0).any() or (scattering < 0.0).any():
+        raise SceneError(f"{name} has a negative extinction, albedo or scale; correct it in the scene")
+    if (scattering > extinction * (1.0 + 1e-5)).any():
+        raise SceneError(f"{name} has an albedo above 1, which would create light; lower it")
 
 
 def _check_values(item: mi.Object, name: str) -> None:

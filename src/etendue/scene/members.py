@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -32,29 +32,27 @@ class Members:
     kind: class of pointers, ``mi.EmitterPtr`` or ``mi.BSDFPtr``.
     ids: number of each object in Dr.Jit's registry, which is the value of a pointer.
     keys: key of each object, different small integers.
-    kept: an object that no scene keeps.
+    kept: objects that no scene keeps.
     """
 
-    def __init__(self, kind: type, ids: ArrayLike, keys: ArrayLike, kept: mi.Object | None = None) -> None:
+    def __init__(self, kind: type, ids: ArrayLike, keys: ArrayLike, kept: Sequence[mi.Object] = ()) -> None:
         self._kind, self._kept = kind, kept
-        self._ids, keys = np.asarray(ids, np.uint32), np.asarray(keys, np.uint32)
+        self.ids, keys = np.asarray(ids, np.uint32), np.asarray(keys, np.uint32)
         place = np.full(int(keys.max(initial=0)) + 1, len(keys), np.uint32)
         place[keys] = np.arange(len(keys))
         self._place = on_device(mi.UInt32, place)
 
     def __len__(self) -> int:
-        return len(self._ids)
+        return len(self.ids)
 
     def call(self, key: mi.UInt32, function: Callable[..., Any], *arguments: Any, active: mi.Bool) -> Any:
         """``function(object, *arguments, active)`` of the object with a key, in each lane; zero in lanes that are not
         active, or whose key no object has."""
         place = dr.gather(mi.UInt32, self._place, key, active)
         if len(self) > 1:
-            targets = [partial(function, self._object(number)) for number in self._ids]
+            targets = [partial(function, self._object(number)) for number in self.ids]
             return dr.switch(place, targets, *arguments, active & (place < len(self)))
-        return dr.switch(
-            mi.UInt32(0), [partial(function, self._object(self._ids[0]))], *arguments, active & (place < 1)
-        )
+        return dr.switch(mi.UInt32(0), [partial(function, self._object(self.ids[0]))], *arguments, active & (place < 1))
 
     def _object(self, number: int) -> mi.Object:
         return dr.reinterpret_array(self._kind, mi.UInt32(int(number)))[0]
@@ -62,10 +60,12 @@ class Members:
 
 @dataclass
 class Material:
-    """The material of a surface point of a scene, one lane each."""
+    """The material of a point of a scene, one lane each."""
 
     pointer: mi.BSDFPtr
     of_scene: Members  #: see :func:`bsdfs`
+    #: Lanes in a medium, whose material is a phase function; None in scenes without media that scatter.
+    in_medium: mi.Bool | None = None
 
     def flags(self) -> mi.UInt32:
         """``mi.BSDFFlags``."""
@@ -87,6 +87,6 @@ def bsdfs(scene: mi.Scene) -> Members:
     """The BSDFs of a scene's shapes by their pointers. Those inside other BSDFs are left out: no ray
     finds them."""
     own = [bsdf for shape in shapes(scene) if (bsdf := shape.bsdf()) is not None]
-    spare = None if own else mi.load_dict({"type": "diffuse"})  # an empty part of a divided scene: never found
-    ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own or [spare]}
+    spare = [] if own else [mi.load_dict({"type": "diffuse"})]  # an empty part of a divided scene: never found
+    ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own or spare}
     return Members(mi.BSDFPtr, sorted(ids), sorted(ids), spare)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,8 @@ Mesh = tuple[Points, Faces]
 class MeshDescription:
     """A mesh of a bundled scene or a model before it is built: (n, 3) points, (m, 3) faces and, for smooth shading,
     (n, 3) normals; ``emitter``: radiance of a mesh that is a light; (n, 2) texture coordinates, with v down, and (n, 3)
-    values of the attribute ``vertex_color``. A built mesh cannot be written as XML."""
+    values of the attribute ``vertex_color``; ``interior``: id of the scene's medium inside. A built mesh cannot be
+    written as XML."""
 
     name: str
     points: Points
@@ -32,15 +33,18 @@ class MeshDescription:
     emitter: dict[str, Any] | None = None
     coordinates: Points | None = None
     colours: Points | None = None
+    interior: str = ""
 
-    def build(self) -> mi.Mesh:
-        """The mesh with its material and light."""
+    def build(self, interior: mi.Medium | None = None) -> mi.Mesh:
+        """The mesh with its material, light and medium."""
         import mitsuba as mi
 
         properties = mi.Properties()
         properties["mesh_bsdf"] = mi.load_dict(self.bsdf)
         if self.emitter is not None:
             properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": self.emitter})
+        if interior is not None:
+            properties["interior"] = interior
         return self._mesh(properties)
 
     def write(self, path: Path) -> None:
@@ -52,6 +56,8 @@ class MeshDescription:
     def of_file(self, path: Path) -> dict[str, Any]:
         """The plugin that reads the file of :meth:`write`."""
         plugin = {"type": "ply", "filename": str(path), "face_normals": self.normals is None, "bsdf": self.bsdf}
+        if self.interior:
+            plugin["interior"] = {"type": "ref", "id": self.interior}
         return plugin if self.emitter is None else plugin | {"emitter": {"type": "area", "radiance": self.emitter}}
 
     def _mesh(self, properties: mi.Properties) -> mi.Mesh:
@@ -170,6 +176,26 @@ def smooth(corners: Points, per_corner: int, closed: bool) -> Points:
         corners, first, last = corners[1:-1], first[1:-1], last[1:-1]
     pieces = [(1 - t) ** 2 * f + 2 * t * (1 - t) * c + t**2 * e for f, c, e in zip(first, corners, last, strict=True)]
     return np.concatenate(pieces if closed else [*pieces, last[-1:]])
+
+
+def built(described: Mapping[str, Any]) -> dict[str, Any]:
+    """A scene's dictionary with its meshes built. Media inside of them become objects, too, because a built mesh cannot
+    refer to a description."""
+    import mitsuba as mi
+
+    inside = {value.interior for value in described.values() if isinstance(value, MeshDescription)} - {""}
+    media = {name: mi.load_dict(described[name]) for name in inside}
+
+    def made(value: Any) -> Any:
+        if isinstance(value, MeshDescription):
+            return value.build(media.get(value.interior))
+        if not isinstance(value, dict):
+            return value
+        if value.get("type") == "ref" and value.get("id") in media:
+            return media[value["id"]]
+        return {key: made(part) for key, part in value.items()}
+
+    return {name: made(value) for name, value in described.items() if name not in media}
 
 
 def height_field(

@@ -107,6 +107,8 @@ def _move(state: mi.parser.ParserState, space: RenderSpace, scene: mi.Scene) -> 
                 _move_frame(props, space)
                 if kind == "projector":  # irradiance at the distance 1
                     _scale(props, ["scale"], square, {"scale": 1.0})
+            case "homogeneous":  # extinction per length
+                _scale(props, ["scale"], 1.0 / space.scale, {"scale": 1.0})
             case "bumpmap":  # heights
                 _scale(props, ["scale"], space.scale, {"scale": 1.0})
 

@@ -19,7 +19,7 @@ from etendue.core import SceneError, use_variant
 
 from .builtin.table import BundledScene, bundled_scene
 from .loading import Source, _is_loaded, _parse, _resolving, locate
-from .meshes import MeshDescription
+from .meshes import MeshDescription, built
 from .models.reading import is_model, model
 from .parsing import read_properties
 
@@ -64,7 +64,7 @@ def restored(portable: PortableScene, folder: Path) -> tuple[Any, dict[str, str]
         return bundled_scene(described["bundled"]), {}
     moved = {name: str(folder / place) for name, place in described["moved"].items()}
     if "dictionary" in described:
-        return _decoded(described["dictionary"], portable.arrays, moved), {}
+        return built(_decoded(described["dictionary"], portable.arrays, moved)), {}
     if "texts" in described:
         _rename(folder, described["texts"], moved)
     return folder / described["main"], {k: moved.get(v, v) for k, v in described["parameters"].items()}
@@ -207,7 +207,7 @@ def _decoded(value: Any, arrays: Mapping[str, NDArray[Any]], moved: Mapping[str,
     if _KIND not in value:
         return {k: _decoded(v, arrays, moved) for k, v in value.items()}
     if value[_KIND] == "MeshDescription":
-        return MeshDescription(**_decoded(value["fields"], arrays, moved)).build()
+        return MeshDescription(**_decoded(value["fields"], arrays, moved))
     kind, array = value[_KIND], np.ascontiguousarray(arrays[value["array"]])
     if kind == "ndarray":
         return array

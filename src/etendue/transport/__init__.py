@@ -12,7 +12,13 @@ if TYPE_CHECKING:
     from .bidirectional.linear import Counts as Counts
     from .bidirectional.mis import GRAZING as GRAZING, Mis as Mis
     from .bidirectional.moments import TILE as TILE, Candidate as Candidate, Moments as Moments
-    from .bidirectional.photons import Gather as Gather, Photon as Photon, Photons as Photons, unfolded as unfolded
+    from .bidirectional.photons import (
+        Gather as Gather,
+        Photon as Photon,
+        Photons as Photons,
+        unfolded as unfolded,
+        weigh as weigh,
+    )
     from .bidirectional.pyramid import PYRAMID_MAX as PYRAMID_MAX, Pyramid as Pyramid
     from .bidirectional.single import SingleContribution as SingleContribution, SingleTechnique as SingleTechnique
     from .bidirectional.sinks import (
@@ -56,6 +62,7 @@ if TYPE_CHECKING:
         light_of_map as light_of_map,
     )
     from .firsthits import FirstHits as FirstHits, seen_shapes as seen_shapes
+    from .flight import Passing as Passing
     from .functions import TransportFunctions as TransportFunctions, film_picture as film_picture
     from .guiding.connections import (
         CLASSES as CLASSES,
@@ -98,7 +105,7 @@ if TYPE_CHECKING:
         stratified_hemispheres as stratified_hemispheres,
     )
     from .lamps.points import point_on as point_on
-    from .places import Places as Places, first_smooth as first_smooth
+    from .places import Places as Places, first_collisions as first_collisions, first_smooth as first_smooth
     from .rays import (
         Edge as Edge,
         Event as Event,

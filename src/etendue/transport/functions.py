@@ -23,7 +23,7 @@ import numpy as np
 
 from etendue.core import Array, OptionError
 from etendue.integration import Box, Integrand, Integrator, integral
-from etendue.scene import Material, bsdfs, emitters, warn_of_offsets
+from etendue.scene import Material, bsdfs, emitters, refuse_media, warn_of_offsets
 
 from .scattering import is_smooth
 
@@ -61,6 +61,7 @@ class TransportFunctions:
                 f"the scene has {len(sensors)} sensors, number {sensor} is not one of them (they count from 0)"
             )
         self.scene, self._sensor = scene, sensors[sensor]
+        refuse_media(scene, "functions of transport", self._sensor)
         self._emitters, self._bsdfs = emitters(scene), bsdfs(scene)
         warn_of_offsets(scene, self._sensor, "the scene")
         lower, upper = np.array(scene.bbox().min).ravel(), np.array(scene.bbox().max).ravel()

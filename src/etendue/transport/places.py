@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
+
+from etendue.core import SampleSource
 
 from .walk import SubPath, Walker
 
@@ -33,11 +36,48 @@ class Places:
 
 
 @dataclass(kw_only=True)
-class _Sight(SubPath):
-    """State of a camera path up to the first surface that is not specular."""
+class _Collision(SubPath):
+    """State of a camera path up to its first collision in a medium."""
 
     position: mi.Point3f
     reached: mi.Bool
+
+
+@dataclass(kw_only=True)
+class _Sight(_Collision):
+    """State of a camera path up to the first surface that is not specular."""
+
+    sees_media: ClassVar[bool] = False
+
+
+def first_collisions(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tuple[mi.Point3f, mi.Bool]:
+    """(points at which camera paths first collide with a medium, mask of the paths that do so before they are scattered
+    by anything but mirrors and glass)."""
+    lanes = dr.width(ray.o)
+    path = _Collision(
+        active=dr.full(mi.Bool, True, lanes),
+        ray=mi.Ray3f(ray),
+        throughput=mi.Color3f(1.0),
+        eta=mi.Float(1.0),
+        depth=mi.UInt32(1),
+        travelled=mi.Float(0.0),
+        rays=mi.UInt32(0),
+        position=mi.Point3f(0.0),
+        reached=mi.Bool(False),
+    )
+
+    def edge(s: _Collision) -> _Collision:
+        vertex = walker.arrive(s, source)
+        here = s.active & vertex.bsdf.in_medium if vertex.bsdf.in_medium is not None else mi.Bool(False)
+        s.position = dr.select(here, vertex.position, s.position)
+        s.reached |= here
+        s.active &= vertex.valid & ~here & ~vertex.smooth & (vertex.number < _MOST_EDGES)
+        scattered, _ = vertex.sample(source, s.active)
+        walker.advance(s, vertex, scattered, source)
+        return s
+
+    path = walker.walk(path, edge, "first collisions")
+    return path.position, path.reached
 
 
 def first_smooth(walker: Walker, ray: mi.Ray3f, through: bool) -> tuple[mi.Point3f, mi.Bool]:

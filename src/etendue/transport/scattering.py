@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Material
+from etendue.scene import Material, is_phase
 
 from . import dimensions as dim
 
@@ -89,9 +89,10 @@ def exchanged(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInterac
     return other
 
 
-def geometric_cos(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Float:
-    """``|cos|`` of a world direction and the geometric normal."""
-    return dr.abs(dr.dot(si.n, direction))
+def geometric_cos(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, in_medium: mi.Bool | None = None) -> mi.Float:
+    """``|cos|`` of a world direction and the geometric normal; 1 ``in_medium``."""
+    cos = dr.abs(dr.dot(si.n, direction))
+    return cos if in_medium is None else dr.select(in_medium, 1.0, cos)
 
 
 def evaluate_camera_end(bsdf: Material, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
@@ -113,7 +114,7 @@ def _camera_end(
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, active)
     reverse = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, active)
-    return _not_tangential(wo, value, pdf, reverse)
+    return _not_tangential(bsdf, wo, value, pdf, reverse)
 
 
 def _light_end(
@@ -121,23 +122,25 @@ def _light_end(
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
     pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
-    return _not_tangential(wo, value, pdf, reverse)
+    return _not_tangential(bsdf, wo, value, pdf, reverse)
 
 
 def _not_tangential(
-    wo: mi.Vector3f, value: mi.Color3f, pdf: mi.Float, reverse_pdf: mi.Float
+    bsdf: mi.BSDF, wo: mi.Vector3f, value: mi.Color3f, pdf: mi.Float, reverse_pdf: mi.Float
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
-    """The same values, 0 for tangential directions, for which some materials return NaN."""
+    """The same values, 0 for directions tangential to a surface, for which some materials return NaN."""
+    if is_phase(bsdf):
+        return value, pdf, reverse_pdf
     valid = dr.abs(mi.Frame3f.cos_theta(wo)) > _GRAZING
     return value & valid, dr.select(valid, pdf, 0.0), dr.select(valid, reverse_pdf, 0.0)
 
 
-def cosine_ratio(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Float:
+def cosine_ratio(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, in_medium: mi.Bool | None = None) -> mi.Float:
     """cos_g(eye) / cos_g(light) at a light vertex; ``direction`` points to the eye side. The value of
     :func:`evaluate_light_end` holds the cosine of the light side; times this ratio, it is the adjoint BSDF times its
-    cosine."""
-    cos_light = geometric_cos(si, si.to_world(si.wi))
-    return dr.select(cos_light > 0.0, geometric_cos(si, direction) / cos_light, 0.0)
+    cosine. 1 ``in_medium``."""
+    cos_light = geometric_cos(si, si.to_world(si.wi), in_medium)
+    return dr.select(cos_light > 0.0, geometric_cos(si, direction, in_medium) / cos_light, 0.0)
 
 
 def scatter_camera(
@@ -162,13 +165,13 @@ def scatter_light(
 ) -> tuple[Scattered, list[Evaluated]]:
     """As :func:`scatter_camera` at a light vertex; weights are those of the adjoint BSDF."""
     scattered, evaluated = _scatter(_sample_light, _light_end, bsdf, si, source, vertex, active, directions)
-    _make_adjoint(scattered, si)
+    _make_adjoint(scattered, si, bsdf.in_medium)
     return scattered, evaluated
 
 
-def _make_adjoint(scattered: Scattered, si: mi.SurfaceInteraction3f) -> None:
+def _make_adjoint(scattered: Scattered, si: mi.SurfaceInteraction3f, in_medium: mi.Bool | None) -> None:
     """Bring the weight at a light vertex, which has the cosine of the light side, to the adjoint BSDF."""
-    ratio = cosine_ratio(si, scattered.direction)
+    ratio = cosine_ratio(si, scattered.direction, in_medium)
     # A delta lobe cannot be evaluated: its sampled weight is made adjoint by the cosines of both normals.
     wo = si.to_local(scattered.direction)
     shading = dr.select(scattered.is_delta, dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(wo)), 1.0)
@@ -205,7 +208,7 @@ def scatter_light_uniform(
     sample = functools.partial(_sample_uniform, light=True)
     evaluate = functools.partial(_uniform_end, light=True)
     scattered, evaluated = _scatter(sample, evaluate, bsdf, si, source, vertex, active, directions)
-    _make_adjoint(scattered, si)
+    _make_adjoint(scattered, si, bsdf.in_medium)
     return scattered, evaluated
 
 
@@ -238,7 +241,7 @@ def _scatter(
     is_delta, is_null = mi.has_flag(lobe, mi.BSDFFlags.Delta), mi.has_flag(lobe, mi.BSDFFlags.Null)
     direction = si.to_world(wo)
     active = active & ~(pdf <= 0.0) & ~dr.all(weight == 0.0)  # lanes with NaN stay active, so that they are counted
-    cos = geometric_cos(si, direction)
+    cos = geometric_cos(si, direction, bsdf.in_medium)
     scattered = Scattered(direction, weight, pdf, reverse_pdf, cos, eta, is_delta, is_null, active)
     return scattered, [Evaluated(*e) for e in evaluated]
 
@@ -306,7 +309,7 @@ def _uniform_end(
     else:
         value = bsdf.eval(mi.BSDFContext(), si, wo, active)
     _, pdf = _uniform_share(bsdf)
-    return _not_tangential(wo, value, mi.Float(pdf), mi.Float(pdf))
+    return _not_tangential(bsdf, wo, value, mi.Float(pdf), mi.Float(pdf))
 
 
 def _uniform_share(bsdf: mi.BSDF) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """A vertex of a path, where the path scatters: position, frame, evaluation and sampling of directions.
 
-The only kind so far is a surface point with a BSDF. A medium point with a phase function would have the same interface.
+It is a point of a surface or of a medium. A point of a medium has a phase function in place of a BSDF, as a
+:class:`Material` too, no normal, and no cosines.
 """
 
 from __future__ import annotations
@@ -9,12 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Material
+from etendue.scene import Material, Media
 
-from .scattering import Evaluated, Proposal, Scattered, evaluate_camera_end, is_smooth, scatter_camera
+from .flight import Passing, medium_behind
+from .scattering import (
+    Evaluated,
+    Proposal,
+    Scattered,
+    cosine_ratio,
+    evaluate_camera_end,
+    geometric_cos,
+    is_smooth,
+    scatter_camera,
+)
 
 
 class Joined(Protocol):
@@ -31,10 +43,11 @@ class Joined(Protocol):
 
 @dataclass(kw_only=True)
 class Vertex:
-    """A surface point of a sub-path, one lane each."""
+    """A point of a sub-path, one lane each."""
 
-    si: mi.SurfaceInteraction3f  #: ``wi`` points back along the sub-path
+    si: mi.SurfaceInteraction3f  #: ``wi`` points back along the sub-path; the normal ``n`` is 0 in a medium
     bsdf: Material
+    medium: mi.UInt32 | None = None  #: the medium on the side of ``wi``; None in scenes without media
 
     @property
     def position(self) -> mi.Point3f:
@@ -50,6 +63,26 @@ class Vertex:
     def smooth(self) -> mi.Bool:
         """Whether the BSDF has a component without delta functions, so that the vertex can be connected or merged."""
         return is_smooth(self.bsdf)
+
+    def cos(self, direction: mi.Vector3f) -> mi.Float:
+        """``|cos|`` of a world direction and the geometric normal; 1 in a medium."""
+        return geometric_cos(self.si, direction, self.bsdf.in_medium)
+
+    def cosine_ratio(self, direction: mi.Vector3f) -> mi.Float:
+        """See :func:`.scattering.cosine_ratio`."""
+        return cosine_ratio(self.si, direction, self.bsdf.in_medium)
+
+    def extinction(self, media: Media) -> mi.Color3f | mi.Float | None:
+        """Extinction with which walks find the vertex, by channel, 1 on surfaces; None if no medium scatters."""
+        if self.medium is None or self.bsdf.in_medium is None:
+            return None
+        return dr.select(self.bsdf.in_medium, media.sampled(self.medium), 1.0)
+
+    def medium_towards(self, direction: mi.Vector3f) -> mi.UInt32 | None:
+        """The medium into which a world direction leads."""
+        if self.medium is None:
+            return None
+        return medium_behind(self.si, direction, self.medium)
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
         """BSDF value and densities at a camera vertex, for light that arrives from a world direction."""
@@ -68,11 +101,15 @@ class Vertex:
 class WalkVertex(Vertex):
     """End of the edge that a walk has traced last, one lane each; the ray missed the scene where not ``valid``."""
 
-    number: mi.UInt32  #: edges of the sub-path up to the vertex; selects the random numbers of the vertex
+    number: mi.UInt32  #: vertices and null surfaces of the sub-path up to this one; selects its random numbers
+    depth: (
+        mi.UInt32
+    )  #: edges of the sub-path up to the vertex: as ``number``, without null surfaces that bound a medium
     hit: mi.PreliminaryIntersection3f
     incoming: mi.Vector3f  #: world direction of the edge
     distance: mi.Float  #: length of the edge from the last vertex, through null surfaces on the way
-    valid: mi.Bool  #: whether the edge ends on a surface
+    valid: mi.Bool  #: whether the edge ends on a surface or in a medium
+    passing: Passing | None = None  #: of the edge; None in scenes without media that scatter
     proposal: Proposal = scatter_camera  #: samples directions
     #: Scatterings before the vertex, see :class:`etendue.transport.MapEnd`; None unless paths end in maps.
     scatterings: mi.UInt32 | None = None

@@ -2,27 +2,46 @@
 
 A null surface has a BSDF with a null component (``mask``, ``null``, ``thindielectric``), through which light passes
 without a change of direction. A path that crosses a null surface has no vertex there: its edge continues on the other
-side. Walks, next event, connections and splats share this definition of a path. As in Mitsuba, each crossing counts as
-an edge of ``max_depth``. The probability of crossing is left out of all densities, as that of Russian roulette is, so
-that the MIS weights of a path do not depend on the technique that samples it.
+side. Walks, next event, connections and splats share this definition of a path. As in Mitsuba's ``path``, each crossing
+counts as an edge of ``max_depth``; as in its ``volpath``, that of a surface which bounds a medium does not. The
+probability of crossing is left out of all densities, as that of Russian roulette is, so that the MIS weights of a path
+do not depend on the technique that samples it. Media along the ray multiply the transmittance; a null surface may
+change the medium.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import Material, bsdfs, graph, materials
+from etendue.scene import Material, Media, bsdfs, graph, materials, media_in, medium_at
+
+from .flight import FAR, medium_behind
+
+
+@dataclass
+class Sight:
+    """What is seen along a shadow ray, one lane each."""
+
+    visible: mi.Bool  #: the end of the ray
+    transmittance: mi.Color3f | float = 1.0  #: of null surfaces and media; the number 1.0 in scenes without these
+    #: Probability, by channel, that a walk passes through the media; None if none of the scene scatters.
+    passing: mi.Color3f | mi.Float | None = None
 
 
 class Visibility:
     """Visibility in one scene, with its geometry at the time of construction. ``transparent``: whether the scene has
-    null surfaces; ``specular``: whether it has these, mirrors or smooth glass."""
+    null surfaces; ``specular``: whether it has these, mirrors or smooth glass; ``sensor``: where camera paths start."""
 
-    def __init__(self, scene: mi.Scene) -> None:
+    def __init__(self, scene: mi.Scene, sensor: mi.Sensor | None = None) -> None:
         self.scene = scene
-        self.bsdfs = bsdfs(scene)
+        #: The participating media; None if there are none.
+        self.media = media_in(scene, sensor)
+        self.bsdfs = bsdfs(scene) if self.media is None else self.media.bsdfs
         found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
         self.transparent = any(map(_passes, found))
         #: Whether textures are averaged over the footprint of a pixel.
@@ -34,15 +53,33 @@ class Visibility:
             _opaque_meshes(scene) if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
         )
 
+    @property
+    def volumes(self) -> bool:
+        """Whether a medium scatters light, so that vertices may be in media."""
+        return self.media is not None and self.media.scatters
+
     def material(self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f) -> Material:
         """The material at the end of a ray."""
         return Material(si.bsdf(ray), self.bsdfs)
 
-    def along(self, ray: mi.Ray3f, crossings: mi.UInt32, active: mi.Bool) -> tuple[mi.Bool, mi.Color3f | float]:
-        """(whether the end of a shadow ray is visible, transmittance along the ray); the transmittance is the number
-        1.0 in scenes without null surfaces. ``crossings``: the largest number of null surfaces on the ray."""
+    def medium_outside(self, light: mi.UInt32, ray: mi.Ray3f) -> mi.UInt32 | None:
+        """The medium in which rays start that leave a light; None in scenes without media."""
+        if self.media is None:
+            return None
+        medium = self.media.outside(light)
+        if not self.media.divides_lamps:
+            return medium
+        unknown = self.media.is_unknown(medium)
+        return dr.select(unknown, medium_at(self.scene, ray, unknown), medium)
+
+    def along(self, ray: mi.Ray3f, crossings: mi.UInt32, active: mi.Bool, medium: mi.UInt32 | None = None) -> Sight:
+        """What is seen along a shadow ray that starts in ``medium``. ``crossings``: the largest number of null surfaces
+        on the ray that do not bound a medium."""
         if not self.transparent:
-            return active & ~self.scene.ray_test(ray, active), 1.0
+            visible = active & ~self.scene.ray_test(ray, active)
+            if self.media is None or medium is None:
+                return Sight(visible)
+            return Sight(visible, *self._through(self.media, medium, ray.maxt))
         transmittance = mi.Color3f(1.0)
         if self._opaque is not None:
             blocked = self._opaque.ray_test(ray, active)
@@ -57,19 +94,33 @@ class Visibility:
             maxt: mi.Float,
             transmittance: mi.Color3f,
             crossings: mi.UInt32,
-        ) -> tuple[mi.Bool, mi.Point3f, mi.Vector3f, mi.Float, mi.Color3f, mi.UInt32]:
+            medium: mi.UInt32 | None,
+            passing: mi.Color3f | mi.Float | None,
+        ) -> tuple[Any, ...]:
             ray = mi.Ray3f(o, d, maxt, time, wavelengths)
             hit = self.scene.ray_intersect_preliminary(ray, active=active)
+            if self.media is not None and medium is not None:
+                through, passes = self._through(self.media, medium, dr.minimum(hit.t, ray.maxt))
+                transmittance = dr.select(active, transmittance * through, transmittance)
+                if passing is not None:
+                    passing = dr.select(active, passing * passes, passing)
             active = active & hit.is_valid()
             # The preliminary intersection of an instance does not give the BSDF of the shape that was hit.
             instanced = dr.reinterpret_array(mi.UInt32, hit.instance) != 0
             null = instanced | mi.has_flag(hit.shape.bsdf().flags(), mi.BSDFFlags.Null)
-            null &= active & (crossings > 0)
+            null &= active
+            if medium is None:
+                null &= crossings > 0
             transmittance = dr.select(active & ~null, 0.0, transmittance)
 
             def behind(
-                null: mi.Bool, ray: mi.Ray3f, transmittance: mi.Color3f, hit: mi.PreliminaryIntersection3f
-            ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f]:
+                null: mi.Bool,
+                ray: mi.Ray3f,
+                transmittance: mi.Color3f,
+                crossings: mi.UInt32,
+                medium: mi.UInt32 | None,
+                hit: mi.PreliminaryIntersection3f,
+            ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f, mi.UInt32, mi.UInt32 | None]:
                 si = hit.compute_surface_interaction(ray, active=null)
                 material = self.material(si, ray)
                 transmittance = transmittance * material.call(mi.BSDF.eval_null_transmission, si, active=null)
@@ -78,20 +129,39 @@ class Visibility:
                 finite = ray.maxt < dr.largest(mi.Float)
                 end = ray(dr.select(finite, ray.maxt, si.t))
                 onward = dr.select(finite, si.spawn_ray_to(end), si.spawn_ray(ray.d))
+                if medium is not None:
+                    bounds = si.is_medium_transition()
+                    medium = medium_behind(si, ray.d, medium)
+                    transmittance = dr.select(bounds | (crossings > 0), transmittance, 0.0)
+                    crossings = dr.select(bounds, crossings, crossings - 1)
                 null = null & (dr.max(transmittance) > 0.0) & (onward.maxt > 0.0)
-                return null, dr.select(null, onward, ray), transmittance
+                return null, dr.select(null, onward, ray), transmittance, crossings, medium
 
             # A branch, because most occluders are opaque and computing the surface interaction is expensive.
-            arguments = null, ray, transmittance, hit
-            crosses, ray, transmittance = dr.if_stmt(
-                arguments, null, behind, lambda *untouched: untouched[:3], label="crossing"
+            arguments = null, ray, transmittance, crossings, medium, hit
+            crosses, ray, transmittance, crossings, medium = dr.if_stmt(
+                arguments, null, behind, lambda *untouched: untouched[:5], label="crossing"
             )
-            return crosses, ray.o, ray.d, ray.maxt, transmittance, crossings - 1
+            if medium is None:
+                crossings = crossings - 1
+            return crosses, ray.o, ray.d, ray.maxt, transmittance, crossings, medium, passing
 
         first = mi.Point3f(ray.o), mi.Vector3f(ray.d), mi.Float(ray.maxt)
-        start = mi.Bool(active), *first, transmittance, mi.UInt32(crossings)
-        *_, transmittance, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
-        return active & (dr.max(transmittance) > 0.0), transmittance
+        scatters = self.volumes and medium is not None
+        rest = medium, self.media.one() if scatters and self.media else None
+        start = mi.Bool(active), *first, transmittance, mi.UInt32(crossings), *rest
+        *_, transmittance, _, _, passing = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
+        return Sight(active & (dr.max(transmittance) > 0.0), transmittance, passing)
+
+    @staticmethod
+    def _through(
+        media: Media, medium: mi.UInt32, distance: mi.Float
+    ) -> tuple[mi.Color3f, mi.Color3f | mi.Float | None]:
+        """(transmittance, :attr:`Sight.passing`) of a distance in a medium."""
+        extinction = media.extinction(medium)
+        distance = dr.minimum(distance, FAR)
+        passing = dr.exp(-media.sampled(medium) * distance) if media.scatters else None
+        return dr.exp(-extinction * distance), passing
 
 
 def _passes(bsdf: mi.BSDF) -> bool:

@@ -3,10 +3,10 @@
 A method writes the body of the loop over the edges of its paths. Each iteration traces one edge to a
 :class:`WalkVertex`, adds the contributions of that vertex, and advances::
 
-    vertex = walker.arrive(path)
+    vertex = walker.arrive(path, source)
     light = walker.light_point(vertex, source, path.active & vertex.smooth)
     scattered, (f,) = vertex.sample(source, path.active, [light])
-    contribution, visible = walker.next_event(path, vertex, light, f, weight)
+    contribution, visible = walker.next_event(path, vertex, light, f, weights)
     walker.advance(path, vertex, scattered, source)
 """
 
@@ -14,40 +14,46 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import SampleSource
+from etendue.core import SampleSource, UnsupportedError
 from etendue.film import COMPONENTS, Component, after_scattering, reflected
 from etendue.scene import LightTable
 
 from . import dimensions as dim
+from .direct import DirectWeights
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .firsthits import FirstHits
+from .flight import Flight, arrived, draw_channel, free_path, mean
 from .guiding.departure import Departures
 from .guiding.lights import LocalLights
 from .loop import loop_traced_once
 from .rays import Edge, WalkRecorder
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .vertex import WalkVertex
-from .visibility import Visibility
+from .visibility import Sight, Visibility
 
 
 @dataclass(kw_only=True)
 class SubPath:
     """State of the loop over the edges of a sub-path, one lane each. Methods add fields of their own."""
 
+    sees_media: ClassVar[bool] = True  #: whether the walk collides with media, and is attenuated by them
+
     active: mi.Bool
     ray: mi.Ray3f  #: the next edge
     throughput: mi.Color3f
     eta: mi.Float | None  #: product of the relative indices of refraction; None for light sub-paths
-    depth: mi.UInt32  #: number of edges, including the next one
+    depth: mi.UInt32  #: number of edges, including the next one; null surfaces count unless they bound a medium
     travelled: mi.Float  #: length of the next edge up to the last null surface that it has crossed
     rays: mi.UInt32  #: rays cast so far, including shadow rays
     #: The ``film.Component`` of a light at the end of the next edge of a camera path; None if components are not kept.
     seen: mi.UInt32 | None = None
+    #: Media along the next edge; None in scenes without media, and for walks that do not see them.
+    flight: Flight | None = None
     #: Whether mirrors, glass and null surfaces only are between the camera and the next edge, each passed in its most
     #: likely way; None unless it is recorded what is seen in them.
     through: mi.Bool | None = None
@@ -164,6 +170,7 @@ class Walker:
     max_edges: mi.UInt32  #: opaque
     rr_depth: int
     survival: float = 1.0  #: factor on the probability by which a path survives roulette
+    spare: int = 0  #: edges that the path needs after the walk's last vertex
     by_albedo: bool = False  #: roulette by the reflectance of each vertex, not by the throughput of the path
     proposal: Proposal = scatter_camera  #: samples directions
     departures: Departures | None = None  #: learned directions of emission, for its densities
@@ -173,29 +180,74 @@ class Walker:
     rays: WalkRecorder | None = None  #: records all edges
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
-        """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
+        """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop. Paths without a
+        flight start in the medium of the sensor."""
+        media = self.visibility.media
+        if media is not None and path.flight is None and path.sees_media:
+            path.flight = Flight.begin(media, media.of_sensor)
         return loop_traced_once(path, lambda s: s.active, edge, label)
 
-    def arrive(self, s: SubPath) -> WalkVertex:
-        """Trace the next edge."""
-        hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
+    def arrive(self, s: SubPath, source: SampleSource | None = None) -> WalkVertex:
+        """Trace the next edge, to a surface or to a collision in a medium. ``source``: for free paths, if the method
+        renders media that scatter."""
+        ray, free = s.ray, self._free_path(s, source)
+        if free is not None:
+            ray = mi.Ray3f(ray)
+            ray.maxt = dr.minimum(ray.maxt, free)
+        hit = self.visibility.scene.ray_intersect_preliminary(ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
         if self.footprint is not None:
             set_footprint(si, s.ray.d, dr.select(s.depth == 1, self.footprint(si.p), 0.0))
+        bsdf, medium, passing = self.visibility.material(si, s.ray), None, None
+        if s.flight is not None and self.visibility.media is not None:
+            media, medium = self.visibility.media, s.flight.medium
+            if free is not None:
+                bsdf.in_medium = s.active & ~si.is_valid() & (free < dr.inf)
+                _collide(si, s.ray, free, bsdf.in_medium)
+                bsdf.pointer = dr.select(bsdf.in_medium, media.material(medium), bsdf.pointer)
+            factor, passing = arrived(media, s.flight, si.t, bsdf.in_medium)
+            s.throughput = s.throughput * factor
         vertex = WalkVertex(
             si=si,
-            bsdf=self.visibility.material(si, s.ray),
-            number=mi.UInt32(s.depth),
+            bsdf=bsdf,
+            medium=medium,
+            number=_number(s),
+            depth=mi.UInt32(s.depth),
             hit=hit,
             incoming=s.ray.d,
             distance=s.travelled + si.t,
             valid=si.is_valid(),
             proposal=self.proposal,
+            passing=passing,
         )
         if self.rays is not None:
             self.rays.arrived(s, vertex)
         return vertex
+
+    def flight_from(self, light: mi.UInt32, ray: mi.Ray3f) -> Flight | None:
+        """The flight of paths that leave a light along ``ray``; None in scenes without media."""
+        medium = self.visibility.medium_outside(light, ray)
+        media = self.visibility.media
+        return None if media is None or medium is None else Flight.begin(media, medium)
+
+    def _free_path(self, s: SubPath, source: SampleSource | None) -> mi.Float | None:
+        """Distance to the next collision with a medium; None if no medium scatters."""
+        if s.flight is None or s.flight.passed is None or self.visibility.media is None:
+            return None
+        if source is None:
+            raise UnsupportedError("this walk does not render media that scatter light")
+        passed, first = s.flight.passed, _number(s) == 1
+        if passed.channel is not None:
+            passed.channel = dr.select(first, draw_channel(source, mi.UInt32(0)), passed.channel)
+        return free_path(self.visibility.media, s.flight, source, _number(s), s.active)
+
+    def goes_on(self, s: SubPath, vertex: WalkVertex) -> mi.Bool:
+        """Whether a path may have an edge after a vertex; it may always cross a null surface that bounds a medium."""
+        within = s.depth + self.spare < self.max_edges if self.spare else s.depth < self.max_edges
+        if s.flight is None or not self.visibility.transparent:
+            return within
+        return within | (vertex.si.is_medium_transition() & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null))
 
     def ends(self, vertex: WalkVertex) -> mi.Bool:
         """Whether paths end in a map at a vertex, unless they go on through its mirror or glass."""
@@ -206,10 +258,14 @@ class Walker:
         :meth:`light_point` used at the start of the edge, if not the light table."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
+        if vertex.bsdf.in_medium is not None:
+            active &= ~vertex.bsdf.in_medium
         origin = s.ray.o - s.ray.d * s.travelled
         found = emission_of_hit(lights or self.lights, scene, si, active, origin, vertex.distance, self.departures)
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
+        if vertex.passing is not None:
+            direct_pdf /= vertex.passing.to_end
         if self.first is not None:
             is_first = s.depth == 1
             reached = s.active & (is_first if s.through is None else s.through)
@@ -225,6 +281,8 @@ class Walker:
         lights: LightTable | LocalLights | None = None,
     ) -> DirectSample:
         """Sample the ``index``-th light point of a vertex. ``lights`` replaces the light table."""
+        if vertex.medium is not None:
+            active = active & (vertex.depth < self.max_edges)
         return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active, self.departures)
 
     def next_event(
@@ -233,27 +291,37 @@ class Walker:
         vertex: WalkVertex,
         light: DirectSample,
         f: Evaluated,
-        weight: mi.Float,
+        weights: DirectWeights,
         wanted: mi.Bool | bool = True,
     ) -> tuple[mi.Color3f, mi.Bool]:
-        """(throughput times BSDF times radiance over density, times ``weight`` and transmittance; whether the light
-        point is visible).
+        """(throughput times BSDF times radiance over density, times weight and transmittance; whether the light point
+        is visible).
         No shadow ray is cast where the contribution is zero or not ``wanted``."""
-        contribution = s.throughput * f.value * light.radiance * weight
+        contribution = s.throughput * f.value * light.radiance
+        weighted = not self.visibility.volumes
+        if weighted:
+            contribution = contribution * self.light_weight(vertex, light, f.pdf, weights)
         tested = light.active & ~dr.all(contribution == 0.0) & wanted
         s.rays += ones(tested)
-        visible, transmittance = self.visible(vertex, light.target, vertex.number + 1, tested)
-        contribution *= transmittance
+        sight = self.sight(vertex, light.target, vertex.depth + 1, tested)
+        if not weighted:
+            # The density of a hit depends on what the shadow ray passes.
+            passing = 1.0 if sight.passing is None else mean(sight.passing)
+            contribution *= self.light_weight(vertex, light, f.pdf * passing, weights)
+        contribution *= sight.transmittance
         if self.rays is not None:
-            self.rays.joined(Edge.NEXT_EVENT, vertex, light.target, contribution, visible)
-        return contribution, visible
+            self.rays.joined(Edge.NEXT_EVENT, vertex, light.target, contribution, sight.visible)
+        return contribution, sight.visible
 
-    def visible(
-        self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool
-    ) -> tuple[mi.Bool, mi.Color3f | float]:
-        """Whether ``target`` is visible from a vertex, and the transmittance of the null surfaces between them.
-        ``edges``: length of the resulting path; each null surface adds one, up to ``max_edges``."""
-        return self.visibility.along(vertex.ray_to(target), self.max_edges - edges, active)
+    def light_weight(self, vertex: WalkVertex, light: DirectSample, pdf: mi.Float, weights: DirectWeights) -> mi.Float:
+        """Weight of a light point of a vertex. ``pdf``: density of hitting the light instead."""
+        return weights.light_point(light, pdf)
+
+    def sight(self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool) -> Sight:
+        """What of ``target`` is seen from a vertex. ``edges``: length of the resulting path; each null surface adds
+        one, up to ``max_edges``."""
+        ray = vertex.ray_to(target)
+        return self.visibility.along(ray, self.max_edges - edges, active, vertex.medium_towards(ray.d))
 
     def keep_if_null(self, scattered: Scattered, before: V, after: V) -> V:
         """``after`` where the path has scattered at the vertex; ``before`` where it has crossed a null surface, at
@@ -277,14 +345,19 @@ class Walker:
             s.eta = s.eta * scattered.eta
         s.travelled = self.keep_if_null(scattered, vertex.distance, mi.Float(0.0))
         s.ray = vertex.ray(scattered.direction)
+        counted = mi.UInt32(1)
+        if s.flight is not None:
+            counted -= self._fly_on(s.flight, vertex, scattered, source)
         by, eta = roulette_by or (s.throughput, s.eta)
         survival = self.survival
         if self.by_albedo:
             by, eta, survival = scattered.weight, scattered.eta if s.eta is not None else mi.Float(1.0), 1.0
         u = source.decide(vertex.number, dim.ROULETTE)
-        alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u, survival)
+        alive, factor = roulette(by, eta, vertex.depth, self.rr_depth, u, survival)
         s.throughput = s.throughput * factor
-        s.depth = vertex.number + 1
+        s.depth = vertex.depth + counted
+        if s.flight is not None:
+            alive &= s.depth + self.spare <= self.max_edges
         if s.seen is not None:
             s.seen = self.keep_if_null(scattered, s.seen, after_scattering(s.seen, scattered.is_delta))
         if s.through is not None and self.first is not None:
@@ -295,6 +368,36 @@ class Walker:
         if self.rays is not None:
             self.rays.scattered(vertex, scattered, s.active)
         return factor
+
+    def _fly_on(self, flight: Flight, vertex: WalkVertex, scattered: Scattered, source: SampleSource) -> mi.UInt32:
+        """Leave a vertex; behind a null surface, the same edge goes on. Returns 1 where it bounds a medium, else 0."""
+        medium, media = vertex.medium_towards(scattered.direction), self.visibility.media
+        assert medium is not None and media is not None
+        flight.medium, passed = medium, flight.passed
+        crosses = ones(scattered.is_null & vertex.si.is_medium_transition())
+        if self.visibility.transparent:
+            flight.crossed = flight.crossed + crosses
+        if passed is not None:
+            start = vertex.extinction(media)
+            passed.probability = self.keep_if_null(scattered, passed.probability, media.one())
+            passed.start = self.keep_if_null(scattered, passed.start, media.one() if start is None else start)
+            if passed.channel is not None:
+                passed.channel = self.keep_if_null(scattered, passed.channel, draw_channel(source, vertex.number))
+        return crosses
+
+
+def _number(s: SubPath) -> mi.UInt32:
+    """Number of the vertex at the end of the next edge, with all null surfaces that the path has crossed."""
+    return mi.UInt32(s.depth) if s.flight is None else s.depth + s.flight.crossed
+
+
+def _collide(si: mi.SurfaceInteraction3f, ray: mi.Ray3f, distance: mi.Float, collided: mi.Bool) -> None:
+    """Make a point of a medium of an interaction, where the ray has collided; its frame is any."""
+    si.t = dr.select(collided, distance, si.t)
+    si.p = dr.select(collided, ray(distance), si.p)
+    si.n = dr.select(collided, mi.Normal3f(0.0), si.n)
+    si.sh_frame = dr.select(collided, mi.Frame3f(-ray.d), si.sh_frame)
+    si.wi = dr.select(collided, mi.Vector3f(0.0, 0.0, 1.0), si.wi)
 
 
 def set_footprint(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, width: mi.Float) -> None:

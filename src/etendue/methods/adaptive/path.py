@@ -168,7 +168,7 @@ class AdaptivePath(EndsInMap):
         hit = walker.emission(s, vertex)
         weight = weights.hit(s.pdf, hit.direct_pdf)
         _count(s, source, s.throughput * hit.radiance * weight, hit.active, s.seen, by_light_point=False)
-        s.active &= vertex.valid & (s.depth < walker.max_edges) & source.goes_on(s.depth)
+        s.active &= vertex.valid & walker.goes_on(s, vertex) & source.goes_on(s.depth)
 
         # ---- After ``maps`` vertices, photon density estimation replaces the rest of the path at a smooth surface
         done = mi.Bool(False)
@@ -182,8 +182,7 @@ class AdaptivePath(EndsInMap):
         lights = [walker.light_point(vertex, source, smooth)] if weights.next_event else []
         scattered, evaluated = vertex.sample(source, s.active, lights)
         for light, f in zip(lights, evaluated, strict=True):
-            weight, wanted = weights.light_point(light, f.pdf), source.counts(s.depth + 1)
-            contribution, visible = walker.next_event(s, vertex, light, f, weight, wanted)
+            contribution, visible = walker.next_event(s, vertex, light, f, weights, source.counts(s.depth + 1))
             _count(s, source, contribution, visible, s.lit, by_light_point=True)
 
         s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))

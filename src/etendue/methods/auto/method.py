@@ -122,6 +122,7 @@ class Auto(Carrying, ImageMethod):
     settings: AutoSettings
     citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", "Su2022", "Zirr2018", *Path.citations, *Vcm.citations)
     carries_on: ClassVar[bool] = True
+    media: ClassVar[str | None] = "scattering"
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. The first pass with light paths prepares what only such passes need."""

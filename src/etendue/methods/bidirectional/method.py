@@ -73,7 +73,9 @@ class Bidirectional(Carrying, ImageMethod):
         "Hachisuka2012",
         "Davidovic2014",
         "Rath2023",
+        "Krivanek2014",
     )
+    media: ClassVar[str | None] = "scattering"
     #: Estimates of the second moments of the next passes, if wanted; cleared at the beginning of a pass. If it is set
     #: before :meth:`prepare`, the pilot uses the same kernels as these passes.
     moments: Moments | None = None
@@ -85,7 +87,9 @@ class Bidirectional(Carrying, ImageMethod):
     opened: LightTable | None = None
     _learning: LearnedEmission | None = None
     _choosing: LearnedConnections | None = None
-    _searched: Gather | None = None  #: the light vertices of the pilot
+    #: The light vertices of the pilot, on surfaces as they are searched, and all.
+    _searched: Gather | None = None
+    _searched_in: LightVertices | None = None
 
     @property
     def _learned(self) -> dict[str, Learned]:
@@ -134,6 +138,9 @@ class Bidirectional(Carrying, ImageMethod):
             self._choosing = LearnedConnections(*box, problem.size)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._discs = radii.first_radius(self, s.radius, s.radius_unit) if s.merging else radii.FirstRadius(0.0)
+        self._balls = radii.Balls()
+        if self.visibility.volumes and s.merging:
+            self._balls = radii.first_balls(self, self._discs, s.volume_radius, s.radius_unit, None)
         kinds = bool(self.techniques.connection), self.techniques.merge
         linear = bool(self._more_radii) or self.light_stride > 0
         bytes_per_vertex = LightVertices.bytes_per_vertex(*kinds, linear, bool(self._learning), bool(self._choosing))
@@ -183,7 +190,12 @@ class Bidirectional(Carrying, ImageMethod):
         radiance, counters = self._trace(run)
         if self._searched and self.settings.connecting:
             self._discs = radii.bounded(self, self._discs, self._searched, paths / self._paths)
-        self._searched = None
+        if self._searched_in and self.visibility.volumes:
+            pilot = radii.Pilot(self._searched_in, paths, self.settings.light_paths)
+            self._balls = radii.first_balls(
+                self, self._discs, self.settings.volume_radius, self.settings.radius_unit, pilot
+            )
+        self._searched = self._searched_in = None
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
@@ -304,7 +316,9 @@ class Bidirectional(Carrying, ImageMethod):
         vertices, sink = None, None
         if connecting or self.techniques.merge:
             owned = common.get("training") is not None or self.recording.light is not None
-            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned)
+            vertices = LightVertices(
+                run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned, self.visibility.volumes
+            )
         if run.splats:
             sink = SplatSink(
                 pyramid=run.pyramid,
@@ -324,13 +338,15 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
+        in_media = self._gather(vertices, paths, run.radius, in_media=True) if self.visibility.volumes else None
         self._searched = gather if run.role else None
+        self._searched_in = vertices if run.role and self.techniques.merge else None
         s = self.settings
         layers = CameraSink(
             pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii
         )
         first = self.first_hits(run.camera, run.iteration)
-        common |= {"sink": layers, "cache": cache, "gather": gather, "first": first}
+        common |= {"sink": layers, "cache": cache, "gather": gather, "gather_in_media": in_media, "first": first}
         trained = choosing.training(self._trains(run), run.light.first) if choosing else None
         walk = self.walker(CameraWalk, **common, choosing=trained)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
@@ -362,6 +378,7 @@ class Bidirectional(Carrying, ImageMethod):
         common["by_albedo"] = self.settings.roulette == "albedo"
         choosing = self._choosing if self.techniques.connection else None
         common |= {"places": self._discs.places, "choice": choosing.guide if choosing else None}
+        common["balls"] = dr.opaque(mi.Float, self._balls.thickness)
         return common | (self._learning.fields(self._trains(run), run.light.first) if self._learning else {})
 
     def _trains(self, run: Group) -> bool:
@@ -402,15 +419,19 @@ class Bidirectional(Carrying, ImageMethod):
         dr.eval(count, factor)
         return LightCache(vertices, count, factor, dr.opaque(mi.UInt32, paths), None if pairs else picks, *choice)
 
-    def _gather(self, vertices: LightVertices | None, paths: int, radius: float) -> Gather | None:
-        """The stored vertices, sorted for merging."""
+    def _gather(self, vertices: LightVertices | None, paths: int, disc: float, in_media: bool = False) -> Gather | None:
+        """The stored vertices on surfaces or ``in_media``, sorted for merging; ``disc``: the largest radius on
+        surfaces."""
         if not vertices or not self.techniques.merge:
             return None
-        positions, kind, held = vertices.positions()
+        positions, kind, held = vertices.positions(in_media)
         if self.techniques.leaves_direct:
             held &= kind != mi.UInt32(Kind.DIRECT)
-        grid = HashGrid(positions, radius * max(self._factors), *self._box, held)
-        squares = [(radius * factor) ** 2 for factor in self._factors]
-        factors = [dr.opaque(mi.Float, 1.0 / (np.pi * square * paths)) for square in squares]
-        limits = [dr.opaque(mi.Float, square) for square in squares]
-        return Gather(grid, vertices.sorted_by(grid.destination, held), factors, limits)
+        discs = [disc * factor for factor in self._factors]
+        reach = [self._balls.radius(radius) for radius in discs] if in_media else discs
+        depth = self._balls.thickness if in_media else 1.0
+        grid = HashGrid(positions, max(reach), *self._box, held)
+        factors = [dr.opaque(mi.Float, 1.0 / (np.pi * radius**2 * depth * paths)) for radius in discs]
+        limits = [dr.opaque(mi.Float, radius**2) for radius in reach]
+        photons = vertices.sorted_by(grid.destination, held)
+        return Gather(grid, photons, factors, limits, self.visibility.media if in_media else None)

@@ -62,6 +62,9 @@ class BidirectionalSettings(OpeningSettings, CameraSettings):
         0.0, f"merge radius of the first pass, in the unit of radius_unit; {radii.RADIUS_DOC}", minimum=0.0
     )
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    volume_radius: float = setting(
+        0.0, f"merge radius of the first pass in media, as radius; {radii.BALL_DOC}", minimum=0.0
+    )
     radii: str = setting(
         "",
         "additional merge radii in the same run, as factors on radius such as 0.5,2; each gives a picture as a layer "

@@ -100,7 +100,7 @@ class FilmTarget:
             vertex = walker.arrive(s)
             hit = walker.emission(s, vertex)
             s.radiance[hit.active] += s.throughput * hit.radiance
-            s.active &= vertex.valid & (s.depth < walker.max_edges)
+            s.active &= vertex.valid & walker.goes_on(s, vertex)
             s.active &= mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
             s.throughput = s.throughput * vertex.bsdf.call(mi.BSDF.eval_null_transmission, vertex.si, active=s.active)
             s.active &= dr.max(s.throughput) > 0.0

@@ -191,7 +191,7 @@ class PhotonMapping(ImageMethod):
 
     def _edge(self, s: GatherPath, walker: Walker, fresh: SampleSource, fixed: SampleSource) -> GatherPath:
         """Trace one edge; gather and scatter at its end."""
-        vertex, weights = walker.arrive(s), DirectWeights()
+        vertex, weights = walker.arrive(s, fresh), DirectWeights()
         next_event = self.settings.direct == "next_event"
 
         # ---- Emission: weight 1 after specular surfaces only, MIS weight one edge after a smooth surface, 0 later,
@@ -202,7 +202,7 @@ class PhotonMapping(ImageMethod):
         weight = dr.select(s.pdf > 0.0, shared, dr.select(in_photons, 0.0, 1.0))
         s.add(s.throughput * hit.radiance * weight, hit.active & (weight > 0.0), s.seen)
         # The edge after a smooth surface is for emission only, unless photons are gathered at its end.
-        s.active &= vertex.valid & (s.depth < walker.max_edges)
+        s.active &= vertex.valid & walker.goes_on(s, vertex)
         if not self.final_gather and not self.visibility.transparent:
             s.active &= ~s.beyond
 
@@ -219,7 +219,7 @@ class PhotonMapping(ImageMethod):
         lights = [walker.light_point(vertex, source, smooth & ~s.beyond)] if next_event else []
         scattered, evaluated = vertex.sample(source, s.active, lights)
         for light, f in zip(lights, evaluated, strict=True):
-            contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+            contribution, visible = walker.next_event(s, vertex, light, f, weights)
             s.add(contribution, visible, s.lit)
 
         # ---- Advance: through specular components and peaks, and for one edge after other scattering

@@ -15,7 +15,7 @@ import mitsuba as mi
 from etendue.core import Array, logger
 from etendue.density import KERNELS, HashGrid
 from etendue.film import REFLECTED, Component, by_component
-from etendue.scene import Problem
+from etendue.scene import Media, Problem
 from etendue.transport import (
     Edge,
     Gather,
@@ -26,7 +26,7 @@ from etendue.transport import (
     Techniques,
     WalkRecorder,
     WalkVertex,
-    unfolded,
+    weigh,
 )
 
 from .. import base
@@ -60,11 +60,14 @@ class PhotonTracer:
 
     def __init__(self, method: ImageMethod, seed: int) -> None:
         self._method = method
-        pilot = self._trace("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
         #: Photons of a light path in the pilot; does not change, even in a resumed run.
-        self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
+        self.photons_per_path = float(self.pilot(seed).wanted[0]) / PILOT_PATHS
         self.room = photon_room(method.problem)
         self.room.per_path = self.photons_per_path
+
+    def pilot(self, seed: int) -> LightVertices:
+        """The photons of ``PILOT_PATHS`` light paths with their own numbers."""
+        return self._trace("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS).vertices
 
     def fitting(self, wanted: int) -> int:
         """``wanted`` light paths, or fewer if their photons do not fit into memory or the paths into one kernel."""
@@ -84,7 +87,8 @@ class PhotonTracer:
     def _trace(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> PhotonShot:
         """Trace light paths and store their vertices."""
         owned = self._method.recording.light is not None
-        vertices = LightVertices(capacity, paths, indexed=False, connected=False, owned=owned)
+        volumes = self._method.visibility.volumes
+        vertices = LightVertices(capacity, paths, indexed=False, connected=False, owned=owned, volumes=volumes)
         source = self._method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
         rays, _ = self._walk().trace(paths, source, vertices)
         dr.schedule(rays)
@@ -129,11 +133,13 @@ def reflected_by(
     kernel: str,
     active: mi.Bool,
     peaks: Peaks | None = None,
+    media: Media | None = None,
 ) -> mi.Color3f:
     """Contribution of one photon to the reflected radiance, times ``N pi r^2``; ``limit``: r^2; ``peaks``: leaves out
-    what camera paths find; None: all light."""
+    what camera paths find; None: all light. ``media``: of photons in media, whose contribution is times ``N 4/3 pi
+    r^3``."""
     p = photons.read(photon, active)
-    distance_squared, weight = unfolded(vertex.si, photons.position(photon, active)[0], p)
+    distance_squared, weight = weigh(vertex, photons.position(photon, active)[0], p, media)
     if kernel != "uniform":
         weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
     si = vertex.si
@@ -189,6 +195,7 @@ class PhotonGrid:
     by_kind: keep light of different components apart.
     peaks: see :func:`reflected_by`.
     recorder: records which photons contribute to which vertices.
+    media: those of the scene, for photons in media, in balls and without a kernel.
     """
 
     def __init__(
@@ -202,9 +209,11 @@ class PhotonGrid:
         by_kind: bool = False,
         peaks: Peaks | None = None,
         recorder: WalkRecorder | None = None,
+        media: Media | None = None,
     ) -> None:
+        kernel = kernel if media is None else "uniform"
         grid = HashGrid(positions, radius, *box, held)
-        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), ())
+        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), (), media)
         self._paths = dr.opaque(mi.Float, shot.paths)
         self._kernel, self._by_kind, self._peaks, self._recorder = kernel, by_kind, peaks, recorder
 
@@ -217,11 +226,12 @@ class PhotonGrid:
 
         def visit(photon: mi.UInt32, state: tuple[list[mi.Color3f], mi.UInt32]) -> tuple[list[mi.Color3f], mi.UInt32]:
             flux, found = state
-            value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks)
+            value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks, self._gather.media)
             record_merge(self._recorder, vertex, photons, photon, value, active)
             found = found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
             return add_by_kind(flux, value, photons, photon, active), found
 
         start = no_light(self._by_kind), mi.UInt32(0)
         flux, found = self._gather.around(vertex.position, edges, visit, start, active, limit)
-        return [part / (dr.pi * limit * self._paths) for part in flux], found
+        size = dr.pi * limit if self._gather.media is None else 4.0 / 3.0 * dr.pi * limit * dr.sqrt(limit)
+        return [part / (size * self._paths) for part in flux], found

@@ -15,10 +15,14 @@ but traced again with the same random numbers.
 Where no photons are found, R would not shrink, and the cells of the photon grid would stay large. R is therefore
 limited by a radius that shrinks in any case, by :math:`R^2_{i+1} = R^2_i (i + \alpha) / (i + 1)` after pass i; where
 every pass finds photons, R shrinks faster than this [KnausZwicker 2011].
+
+In participating media photons are gathered in a ball, whose volume shrinks as the limit of the area does: by
+:math:`r^3_{i+1} = r^3_i (i + \alpha) / (i + 1)` [KnausZwicker 2011].
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -32,7 +36,7 @@ from etendue.scene import Problem
 from etendue.transport import Kind, WalkVertex
 
 from .. import radius as radii
-from ..base import ImageSettings
+from ..base import PILOT_PATHS, ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
 from .photons import PhotonGrid, PhotonShot, no_light
 
@@ -55,6 +59,9 @@ class SppmSettings(PhotonSettings):
         minimum=0.0,
     )
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    volume_radius: float = setting(
+        0.0, f"radius of density estimation in media in the first pass, as radius; {radii.BALL_DOC}", minimum=0.0
+    )
     neighbours: int = setting(
         0,
         "k: the first radius of a point is the distance of the k-th nearest photon of the first pass, at most radius; "
@@ -77,14 +84,20 @@ class Sppm(Carrying, PhotonMapping):
     name: ClassVar[str] = "sppm"
     Settings: ClassVar[type[ImageSettings]] = SppmSettings
     settings: SppmSettings
-    citations: ClassVar[tuple[str, ...]] = ("Hachisuka2009", "Hachisuka2008", "Jensen1996")
+    citations: ClassVar[tuple[str, ...]] = ("Hachisuka2009", "Hachisuka2008", "Jensen1996", "JensenChristensen1998")
     carries_on: ClassVar[bool] = True
+    media: ClassVar[str | None] = "scattering"
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`PhotonMapping`. The first radii are equal, or found from the nearest photons."""
         self._forget_states()
         super().prepare(problem, seed)
-        self._discs = radii.first_radius(self, self.settings.radius, self.settings.radius_unit)
+        o = self.settings
+        self._discs = radii.first_radius(self, o.radius, o.radius_unit)
+        self._balls = radii.Balls()
+        if self.visibility.volumes:
+            pilot = radii.Pilot(self.tracer.pilot(seed), PILOT_PATHS, o.light_paths)
+            self._balls = radii.first_balls(self, self._discs, o.volume_radius, o.radius_unit, pilot)
         first = self._discs.largest
         #: Camera paths of a pass that share R and N: those of a point, or of a pixel.
         self._sharing = 1 if self.fixed_points else self.samples_per_iteration
@@ -111,9 +124,9 @@ class Sppm(Carrying, PhotonMapping):
         self._radius_squared, self._tree = dr.block_sum(squared, self._sharing) / self._sharing, None
         dr.eval(self._radius_squared)
 
-    def _wanted(self, shot: PhotonShot) -> tuple[mi.Point3f, mi.Bool]:
-        """(positions, mask of the photons that are gathered), one lane a slot."""
-        positions, kind, held = shot.vertices.positions()
+    def _wanted(self, shot: PhotonShot, in_media: bool = False) -> tuple[mi.Point3f, mi.Bool]:
+        """(positions, mask of the photons that are gathered on surfaces, or ``in_media``), one lane a slot."""
+        positions, kind, held = shot.vertices.positions(in_media)
         if self.settings.direct == "next_event":
             held &= kind != mi.UInt32(Kind.DIRECT)
         return positions, held
@@ -129,16 +142,28 @@ class Sppm(Carrying, PhotonMapping):
         o = self.settings
         own = o.kernel, o.components, self.peaks, self.recording.camera
         self._photons = PhotonGrid(shot, positions, held, largest, self._box, *own)
+        if self.visibility.volumes:
+            positions, held = self._wanted(shot, in_media=True)
+            # Its upper limit, not R itself, which is measured by the photons of surfaces.
+            ball = self._balls.radius(math.sqrt(self._most))
+            self._ball = dr.opaque(mi.Float, ball**2)
+            self._in_media = PhotonGrid(shot, positions, held, ball, self._box, *own, self.visibility.media)
 
     def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
         """See :class:`PhotonMapping`."""
-        share = self._discs.share(vertex.position)
+        share, in_medium = self._discs.share(vertex.position), vertex.bsdf.in_medium
+        if in_medium is not None:
+            inside, active = active & in_medium, active & ~in_medium
         if self._tree is not None:  # called by _begin_with_nearest, which reads the distance from the photon count
             limit = self._limit * share
             squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, limit, active)
             return no_light(self.settings.components), dr.reinterpret_array(mi.UInt32, squared / share)
         limit = dr.gather(mi.Float, self._radius_squared, s.point // self._sharing, active) * share
-        return self._photons.reflected(vertex, self.edges - s.depth, limit, active)
+        reflected, found = self._photons.reflected(vertex, self.edges - s.depth, limit, active)
+        if in_medium is not None:
+            scattered, _ = self._in_media.reflected(vertex, self.edges - s.depth, self._ball, inside)
+            reflected = [dr.select(in_medium, a, b) for a, b in zip(scattered, reflected, strict=True)]
+        return reflected, found
 
     def finish(self, found: mi.UInt32) -> None:
         """Shrink the radii [Hachisuka 2008, eq. 6, 8; KnausZwicker 2011]."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError, suggest
 
-from ..meshes import MeshDescription
+from ..meshes import built
 from . import theses
 from .ajar import ajar
 from .caustics import caustics
@@ -18,6 +18,7 @@ from .gaps import gaps
 from .pieces import camera, diffuse, rgb, sky
 from .shutters import shutters
 from .street import street
+from .volumes import aquarium, fog
 from .yard import yard
 
 if TYPE_CHECKING:
@@ -41,8 +42,7 @@ class BundledScene:
 
     def build(self) -> dict[str, Any]:
         """The dictionary with its meshes built, as Mitsuba loads it."""
-        described = self.describe()
-        return {k: v.build() if isinstance(v, MeshDescription) else v for k, v in described.items()}
+        return built(self.describe())
 
     def __str__(self) -> str:
         return self.name
@@ -73,6 +73,8 @@ def bundled() -> dict[str, BundledScene]:
         ("shutters", "a classroom lit by sky and sun through three windows, one of them behind blinds", shutters),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
+        ("fog", "a spot light in a foggy room: a glass ball focuses its beam in the air", fog),
+        ("aquarium", "a tank of green water under the sun, whose waves focus sunlight into beams", aquarium),
         *theses.SCENES,
     )
     scenes = {name: BundledScene(name, text, describe) for name, text, describe in rows}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
-from etendue.scene import Problem, RenderSpace, graph, load, warn_of_steps
+from etendue.scene import Problem, RenderSpace, graph, load, refuse_media, warn_of_steps
 
 from ..errors import PatchError, SurfaceError
 from ..patches import Patches
@@ -54,6 +54,7 @@ def scene_patches(
         raise SurfaceError("each shape is one patch and is not divided: leave out max_area, or take per='face'")
     if not isinstance(segments, int) or segments < 3:
         raise SurfaceError(f"a circle needs three segments at least, not {segments!r}")
+    refuse_media(scene, "patches")
     patches, shape, sheets = patches_of(scene.shapes(), segments, space)
     patches = patches.with_properties(sky=scene_sky(scene))
     if space.is_own:

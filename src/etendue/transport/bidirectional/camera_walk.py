@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -13,16 +14,17 @@ from etendue.film import REFLECTED, Component, by_component
 
 from .. import dimensions as dim
 from ..emission import DirectSample
+from ..flight import Passing
 from ..guiding.connections import ConnectionTraining
 from ..rays import Edge
-from ..scattering import Evaluated, cosine_ratio, geometric_cos
+from ..scattering import Evaluated
 from ..vertex import WalkVertex
 from ..walk import ones
 from .cache import LightCache, Pick
 from .linear import Carried, Linear
 from .mis import Weights
 from .moments import Moments, Sums
-from .photons import Gather, unfolded
+from .photons import Gather, weigh as weigh_photon
 from .sinks import CameraSink, Contribution
 from .vertices import Kind, LightVertex
 from .walk import BidirectionalPath, BidirectionalWalk
@@ -60,6 +62,7 @@ class CameraWalk(BidirectionalWalk):
     seen: bool = True  #: whether lights that the camera sees directly contribute
     cache: LightCache | None = None
     gather: Gather | None = None
+    gather_in_media: Gather | None = None
     moments: Moments | None = None
     choosing: ConnectionTraining | None = None  #: learns which light vertices connections should prefer
 
@@ -113,19 +116,20 @@ class CameraWalk(BidirectionalWalk):
     def _edge(self, s: _State, source: SampleSource) -> _State:
         """Trace one edge, apply the techniques at its end, and scatter."""
         techniques = self.mis.techniques
-        vertex = self.arrive(s)
+        vertex = self.arrive(s, source)
 
         # ---- Arrive. Emission of the environment has densities per solid angle: no conversion where the ray missed
         on_edge = s.d_vcm, s.d_vc
-        cos = geometric_cos(vertex.si, vertex.incoming)
-        d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
+        cos = vertex.cos(vertex.incoming)
+        s.d_vcm, s.d_vc = self.passed(vertex, *on_edge)
+        d_vcm, d_vc = self.mis.hit(s.d_vcm, s.d_vc, dr.square(vertex.distance), cos)
         s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
-        complete = s.d_vc if s.left is None else self.mis.completed(s.d_vc, s.left, cos)
+        complete = s.d_vc if s.left is None else self.mis.completed(s.d_vc, s.left, cos, vertex.passing)
         self._emission(s, vertex, complete)
         s.active &= vertex.valid
         s.d_vc = complete
 
-        place, ratio, share = None, None, self.share(vertex.position)
+        place, ratio, share = None, None, self.share(vertex)
         if self.choice is not None:
             place = self.choice.classify(vertex.si)
             ratio = self.choice.pair(s.place, place, s.active)[1]
@@ -136,8 +140,11 @@ class CameraWalk(BidirectionalWalk):
             s.sums.edges = s.sums.edges + 1
             s.sums.smooth = s.sums.smooth + ones(smooth)
         if techniques.merge and self.gather is not None:
-            self._merge(s, vertex, share, smooth)
-        s.active &= s.depth < self.max_edges
+            in_medium = vertex.bsdf.in_medium
+            self._merge(self.gather, s, vertex, share, smooth if in_medium is None else smooth & ~in_medium)
+            if self.gather_in_media is not None and in_medium is not None:
+                self._merge(self.gather_in_media, s, vertex, share, smooth & in_medium)
+        s.active &= self.goes_on(s, vertex)
         smooth &= s.active
 
         # ---- Light points and light vertices: the BSDF is sampled, and evaluated for all of them, in one call
@@ -145,11 +152,11 @@ class CameraWalk(BidirectionalWalk):
         picked = self._pick_vertices(s, vertex, place, smooth)
         scattered, evaluated = vertex.sample(source, s.active, [*lights, *picked])
         for index, light in enumerate(lights):
-            u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
+            u = source.decide(vertex.number, dim.NEXT_EVENT + 4 * index + 3)
             self._next_event(s, vertex, light, evaluated[index], u, share)
         connections = []
         for index, joined in enumerate(picked):
-            u = source.decide(s.depth, dim.CONNECT + index)
+            u = source.decide(vertex.number, dim.CONNECT + index)
             contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u, share)
             s.rays += rays
             self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
@@ -160,7 +167,7 @@ class CameraWalk(BidirectionalWalk):
         if self.moments and s.sums:
             self.moments.add_connections(s.sums, connections)
         if self.cache is not None and self.cache.picks is None:
-            self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), share, smooth)
+            self._connect_pair(s, vertex, source.decide(vertex.number, dim.CONNECT), share, smooth)
 
         # ---- Advance
         sampled, mis = (scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta), self.mis.at(share)
@@ -197,18 +204,23 @@ class CameraWalk(BidirectionalWalk):
         share: mi.Float | None,
     ) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
-        number, cos = self.number(s), geometric_cos(vertex.si, light.direction)
+        number, cos = self.number(s), vertex.cos(light.direction)
         hit_pdf = dr.select(light.is_delta, 0.0, f.pdf)
-        weights = self.mis.at(share).next_event_weight(
-            number, s.d_vcm, s.d_vc, cos, hit_pdf, f.reverse_pdf, light.pdf, light.light_ratio * cos
-        )
         count = self.mis.techniques.next_event
         alone = s.throughput * f.value * light.radiance
-        values = [alone * (weight / count) for weight in weights]
-        contribution, rays = self.connect(
-            vertex, light.target, s.depth + 1, values, alone / count, self.dark, u, light.active
-        )
-        s.rays += rays
+
+        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Color3f]]:
+            to_light, to_vertex = hit_pdf, light.light_ratio * cos
+            if passing is not None:
+                to_light, to_vertex = to_light * passing.to_end, to_vertex * passing.to_start
+            weights = self.mis.at(share).next_event_weight(
+                number, s.d_vcm, s.d_vc, cos, to_light, f.reverse_pdf, light.pdf, to_vertex
+            )
+            return weights, [alone * (weight / count) for weight in weights]
+
+        joined = self.connect(vertex, light.target, s.depth + 1, weigh, alone / count, self.dark, u, light.active)
+        contribution, weights, values = joined.contribution, joined.weights, joined.unshadowed
+        s.rays += joined.rays
         self.record(Edge.NEXT_EVENT, vertex, light.target, contribution)
         self.sink.show(mi.UInt32(1), number + 1, contribution)
         self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
@@ -278,47 +290,55 @@ class CameraWalk(BidirectionalWalk):
         other, number, pick = joined.vertex, self.number(s), joined.pick
         active = joined.active & ~dr.all(f.value == 0.0)
         f_light = other.evaluate(-joined.direction, active)
-        cos = geometric_cos(vertex.si, joined.direction)
-        weights = self.mis.at(share).connection_weight(
-            number,
-            (s.d_vcm, s.d_vc),
-            (other.d_vcm, other.d_vc),
-            cos,
-            geometric_cos(other.si, other.direction),
-            f.pdf * geometric_cos(other.si, joined.direction) * joined.inverse_square,
-            f_light.pdf * cos * joined.inverse_square,
-            f.reverse_pdf,
-            f_light.reverse_pdf,
-            pick.ratio if pick else None,
-            other.kind == mi.UInt32(Kind.DIRECT),
-            self.mis.at(self.share(other.position)),
-        )
+        cos = vertex.cos(joined.direction)
         alone = s.throughput * other.throughput * f.value * f_light.value
-        alone *= joined.inverse_square * cosine_ratio(other.si, joined.direction) * self.cache.factor
+        alone *= joined.inverse_square * other.cosine_ratio(joined.direction) * self.cache.factor
         if pick is not None:
             alone /= pick.chance
-        values = [alone * weight for weight in weights]
+
+        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Color3f]]:
+            to_light = f.pdf * other.cos(joined.direction) * joined.inverse_square
+            to_camera = f_light.pdf * cos * joined.inverse_square
+            if passing is not None:
+                to_light, to_camera = to_light * passing.to_end, to_camera * passing.to_start
+            weights = self.mis.at(share).connection_weight(
+                number,
+                (s.d_vcm, s.d_vc),
+                (other.d_vcm, other.d_vc),
+                cos,
+                other.cos(other.direction),
+                to_light,
+                to_camera,
+                f.reverse_pdf,
+                f_light.reverse_pdf,
+                pick.ratio if pick else None,
+                other.kind == mi.UInt32(Kind.DIRECT),
+                self.mis.at(self.share(other)),
+            )
+            return weights, [alone * weight for weight in weights]
+
         edges = other.depth + s.depth + 1
-        contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
+        edge = self.connect(vertex, other.position, edges, weigh, alone, self.dark, u, active, end=other.extinction)
+        contribution = edge.contribution
         self.record(Edge.CONNECTION, vertex, other.position, contribution, other.path)
         self.sink.show(other.number + 1, number + 1, contribution)
         if self.training is not None:
             self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
-        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], weights, rays
+        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], edge.weights, edge.rays
 
-    def _merge(self, s: _State, vertex: WalkVertex, share: mi.Float | None, active: mi.Bool) -> None:
+    def _merge(self, gather: Gather, s: _State, vertex: WalkVertex, share: mi.Float | None, active: mi.Bool) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
-        assert self.gather is not None
         if not self.mis.techniques.merge_first:
             active = active & (self.number(s) > 1)
 
-        parts, photons = 1 if s.seen is None else len(REFLECTED), self.gather.photons
-        squares, factors = self.gather.at(share)
+        parts, photons = 1 if s.seen is None else len(REFLECTED), gather.photons
+        places = None if gather.media or not self.places else self.places.share(vertex.position)
+        squares, factors = gather.at(places)
 
         def visit(
             photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
         ) -> tuple[list[mi.Color3f], Sums | None]:
-            values, weights = self._merged(s, vertex, photon, share, active)
+            values, weights = self._merged(gather, s, vertex, photon, (squares, factors), share, active)
             totals, sums = found
             if self.moments and sums:
                 sums.photons = sums.photons + 1
@@ -328,25 +348,31 @@ class CameraWalk(BidirectionalWalk):
             return [total + value for total, value in zip(totals, values, strict=True)], sums
 
         found = self._blank(1, parts), s.sums
-        widest = None if share is None else functools.reduce(dr.maximum, squares)
-        totals, s.sums = self.gather.around(vertex.position, self.max_edges - s.depth, visit, found, active, widest)
+        widest = None if places is None else functools.reduce(dr.maximum, squares)
+        totals, s.sums = gather.around(vertex.position, self.max_edges - s.depth, visit, found, active, widest)
         for component, total in s.components_of(totals[:parts]):
             self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
         more = [s.throughput * total * factor for total, factor in zip(totals[parts:], factors[1:], strict=True)]
         self.sink.add_more(s.layers, more, active)
 
     def _merged(
-        self, s: _State, vertex: WalkVertex, photon: mi.UInt32, share: mi.Float | None, active: mi.Bool
+        self,
+        gather: Gather,
+        s: _State,
+        vertex: WalkVertex,
+        photon: mi.UInt32,
+        radii: tuple[Sequence[mi.Float], Sequence[mi.Float]],
+        share: mi.Float | None,
+        active: mi.Bool,
     ) -> tuple[list[mi.Color3f], Weights]:
-        """(weighted contribution of one photon, by radius; weights)."""
-        assert self.gather is not None
-        photons, number = self.gather.photons, self.number(s)
-        squares, factors = self.gather.at(share)
+        """(weighted contribution of one photon, by radius; weights). ``radii``: those of :meth:`Gather.at`."""
+        photons, number = gather.photons, self.number(s)
+        squares, factors = radii
         p, position = photons.read(photon, active), photons.position(photon, active)[0]
         f = vertex.evaluate(p.direction, active)
         weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
-        distance_squared, share = unfolded(vertex.si, position, p)
-        value = p.fluence * f.value * share
+        distance_squared, weight = weigh_photon(vertex, position, p, gather.media)
+        value = p.fluence * f.value * weight
         inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:
             alone = value * s.throughput * factors[0]

@@ -14,12 +14,14 @@ from etendue.film import after_light_scattering
 from .. import dimensions as dim
 from ..camera import CameraConnection
 from ..emission import EmittedRay, emit
+from ..flight import Passing
 from ..lamps.spheres import seen_density
 from ..rays import Edge
-from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric_cos, scatter_light
+from ..scattering import Evaluated, Proposal, Scattered, scatter_light
 from ..vertex import WalkVertex
 from ..walk import ones
 from .linear import Carried
+from .mis import Weights
 from .moments import Moments
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
@@ -46,6 +48,7 @@ class LightWalk(BidirectionalWalk):
 
     proposal: Proposal = scatter_light
     kind: type[LightPath] = LightPath  #: class of the state
+    spare: int = 1
     sink: SplatSink | None = None
     moments: Moments | None = None
 
@@ -97,6 +100,7 @@ class LightWalk(BidirectionalWalk):
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
             flux=self._flux(emitted),
+            flight=self.flight_from(emitted.light, emitted.ray),
         )
 
     def _flux(self, emitted: EmittedRay) -> mi.Float | None:
@@ -108,7 +112,7 @@ class LightWalk(BidirectionalWalk):
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
         """Trace one edge; splat, store and scatter at its end."""
-        vertex = self.arrive(s)
+        vertex = self.arrive(s, source)
         s.active &= vertex.valid
         on_edge, light_cos = self.land(s, vertex)
         place = None
@@ -126,11 +130,11 @@ class LightWalk(BidirectionalWalk):
             s.stored += ones(kept)
 
         # ---- Splat and scatter. The next vertex is useful only if the path may have two more edges
-        s.active &= s.depth + 1 < self.max_edges
+        s.active &= self.goes_on(s, vertex)
         if self.sink is None:
             scattered, _ = vertex.sample(source, s.active)
         else:
-            joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), used)
+            joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, vertex.number), used)
             scattered, (f,) = vertex.sample(source, s.active, [joined])
             self._splat(s, path, vertex, joined, light_cos, f, source, self.sink)
 
@@ -142,7 +146,7 @@ class LightWalk(BidirectionalWalk):
         """Convert ``d_vcm`` and ``d_vc`` to area at the end of an edge: (the two before, cosine at which light
         arrives)."""
         on_edge = s.d_vcm, s.d_vc
-        light_cos = geometric_cos(vertex.si, vertex.incoming)
+        light_cos = vertex.cos(vertex.incoming)
         distance_squared = dr.square(vertex.distance)
         if self.lights.has_infinite:
             distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
@@ -155,7 +159,7 @@ class LightWalk(BidirectionalWalk):
             if self.lights.has_sphere:
                 density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, density)
             d_vcm = self.mis.lit(d_vcm, dr.select(waits, density / waiting, 1.0))
-        s.d_vcm, s.d_vc = self.mis.hit(d_vcm, s.d_vc, distance_squared, light_cos)
+        s.d_vcm, s.d_vc = self.mis.hit(*self.passed(vertex, d_vcm, s.d_vc), distance_squared, light_cos)
         return on_edge, light_cos
 
     def go_on(
@@ -170,7 +174,7 @@ class LightWalk(BidirectionalWalk):
     ) -> None:
         """Leave a vertex of the class ``place``; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-        direct, mis = s.kind == mi.UInt32(Kind.DIRECT), self.mis.at(self.share(vertex.position))
+        direct, mis = s.kind == mi.UInt32(Kind.DIRECT), self.mis.at(self.share(vertex))
         s.d_vcm, s.d_vc = mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, direct)
         s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
@@ -191,21 +195,22 @@ class LightWalk(BidirectionalWalk):
         sink: SplatSink,
     ) -> None:
         """Connect the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
-        area_pdf = joined.area_pdf(geometric_cos(vertex.si, joined.direction))
-        weights = self.mis.at(self.share(vertex.position)).splat_weight(
-            s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, area_pdf
-        )
-        place = sink.splats.place(joined, source, s.depth)
-        factor = joined.importance * place.weight * cosine_ratio(vertex.si, joined.direction)
+        area_pdf = joined.area_pdf(vertex.cos(joined.direction))
+        place = sink.splats.place(joined, source, vertex.number)
+        factor = joined.importance * place.weight * vertex.cosine_ratio(joined.direction)
         alone = s.throughput * f.value
-        values = [alone * (factor * weight) for weight in weights]
+
+        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Color3f]]:
+            density = area_pdf if passing is None else area_pdf * passing.to_start
+            weights = self.mis.at(self.share(vertex)).splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, density)
+            return weights, [alone * (factor * weight) for weight in weights]
+
         # Splats are summed over paths, camera paths over samples: the threshold is scaled accordingly.
-        threshold, u = self.dark * self.mis.paths_per_sample, source.decide(s.depth, dim.SPLAT_SHADOW)
+        threshold, u = self.dark * self.mis.paths_per_sample, source.decide(vertex.number, dim.SPLAT_SHADOW)
         on_film = joined.active & place.on_film
-        contribution, rays = self.connect(
-            vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
-        )
-        s.rays += rays
+        edge = self.connect(vertex, joined.target, s.depth + 1, weigh, alone * factor, threshold, u, on_film)
+        contribution, weights = edge.contribution, edge.weights
+        s.rays += edge.rays
         if self.rays is not None:
             self.record(Edge.SPLAT, vertex, joined.target, contribution, path, self.rays.on_film(joined.position))
         if self.moments:

@@ -23,6 +23,10 @@ Connections may prefer some light vertices to others. The count of a connection 
 light vertex's probability to that of a uniform choice, which depends on the two ends of its edge alone, so that every
 technique of a path has the same ratio for the same edge.
 
+In participating media, densities are per volume at a vertex in a medium, and those of an edge include the probability
+of passing its media (:mod:`..flight`): wherever a density of an edge is used, it is multiplied by that of
+:class:`Passing`, and the cosine of a vertex in a medium is 1.
+
 Both numbers are linear in the sample counts of splats, connections and merges. For several sets of counts (several
 merging radii, or candidates whose second moments are estimated), a sub-path carries the coefficients
 (:class:`Linear`), and the sums are evaluated for each set.
@@ -39,6 +43,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..flight import Passing
 from .linear import Carried, Counts, Linear
 from .techniques import Techniques
 
@@ -179,6 +184,13 @@ class Mis:
         inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))  # against 0 * inf for tangential rays
         return d_vcm * self.power(distance_squared) * inverse, d_vc * inverse
 
+    def passed(self, d_vcm: Carried, d_vc: Carried, passing: Passing) -> tuple[Carried, Carried]:
+        """(d_vcm, d_vc) after an edge through media, to be called before :meth:`hit`: its densities are those of a
+        vacuum times those of ``passing``, in both directions. The transmittance cancels in d_vc, unless an end is in a
+        medium or the extinction depends on the colour."""
+        inverse = dr.rcp(self.power(dr.maximum(passing.to_end, 1e-30)))
+        return d_vcm * inverse, d_vc * (self.power(passing.to_start) * inverse)
+
     def joined(self, depth: mi.UInt32, d_vcm: Carried, ratio: mi.Float | None = None) -> Carried:
         """``d_vcm`` of a camera vertex, scaled by the sample count of the technique that connects along the edge before
         it: 1 for the splat at the first vertex, that of connections after; ``ratio``: see :meth:`chosen`. The walk
@@ -273,8 +285,11 @@ class Mis:
         total = splat if area is None else splat + area
         return dr.select(is_delta, total * 0.0, total * self.power(cos * dr.rcp(pdf)))
 
-    def completed(self, d_vc: Carried, left: Carried, cos: mi.Float) -> Carried:
-        """``d_vc`` after :meth:`hit` with ``cos``, plus what was left out at the vertex before (``left``)."""
+    def completed(self, d_vc: Carried, left: Carried, cos: mi.Float, passing: Passing | None = None) -> Carried:
+        """``d_vc`` after :meth:`passed` and :meth:`hit` with ``cos``, plus what was left out at the vertex before
+        (``left``)."""
+        if passing is not None:
+            left = self.passed(left, left, passing)[1]
         return d_vc + left * dr.rcp(self.power(dr.maximum(cos, 1e-8)))
 
     def _scatter(

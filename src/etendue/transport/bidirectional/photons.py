@@ -25,8 +25,10 @@ import mitsuba as mi
 
 from etendue.density import HashGrid
 from etendue.film import Component
+from etendue.scene import Media
 
 from ..packing import unpacked_direction, unpacked_normal
+from ..vertex import WalkVertex
 from .linear import Carried, Linear
 
 T = TypeVar("T")
@@ -42,6 +44,7 @@ class Photon:
     fluence: mi.Color3f  #: flux over the geometric cosine at which it arrived
     direction: mi.Vector3f  #: world, towards the light side
     normal: mi.Vector3f  #: of its surface, on the side of ``direction``
+    medium: mi.UInt32  #: of a photon in a medium
     d_vcm: mi.Float | Linear
     d_vc: mi.Float | Linear
 
@@ -85,6 +88,7 @@ class Photons:
             fluence=mi.Color3f(f.x, f.y, f.z),
             direction=unpacked_direction(d.x, d.y),
             normal=unpacked_normal(d.z),
+            medium=dr.reinterpret_array(mi.UInt32, d.z),
             d_vcm=d_vcm,
             d_vc=d_vc,
         )
@@ -98,6 +102,19 @@ def weighting(
         return d_vcm, d_vc
     zero, m = mi.Float(0.0), dr.gather(mi.Vector4f, more, index, active)
     return Linear(m.x, d_vcm, zero), Linear(d_vc, m.y, m.z)
+
+
+def weigh(
+    vertex: WalkVertex, position: mi.Point3f, photon: Photon, media: Media | None
+) -> tuple[mi.Float, mi.Float | mi.Color3f]:
+    """(squared distance of a photon, its weight), on surfaces by :func:`unfolded`. In ``media`` the collisions of
+    photons divided by the scattering coefficient, by which their throughput was multiplied, estimate the fluence;
+    photons of another medium have a weight of 0."""
+    if media is None or vertex.medium is None:
+        return unfolded(vertex.si, position, photon)
+    scattering = media.scattering(vertex.medium)
+    weight = dr.select((photon.medium == vertex.medium) & (scattering > 0.0), dr.rcp(scattering), 0.0)
+    return dr.squared_norm(position - vertex.position), weight
 
 
 def unfolded(si: mi.SurfaceInteraction3f, position: mi.Point3f, photon: Photon) -> tuple[mi.Float, mi.Float]:
@@ -140,15 +157,17 @@ def number_of(tag: mi.Float, bits: int) -> mi.UInt32:
 
 @dataclass
 class Gather:
-    """The stored light vertices for merging, sorted by a grid for the largest radius.
+    """The stored light vertices for merging, on surfaces or in media, sorted by a grid for the largest radius.
 
-    ``factors``: 1 / (n_VM pi r^2) of each radius; ``squares``: r^2. Both where the radius is largest.
+    ``factors``: 1 / (n_VM pi r^2) of each radius on surfaces, 1 / (n_VM 4/3 pi r^3) in media; ``squares``: r^2. Both
+    where the radius is largest.
     """
 
     grid: HashGrid
     photons: Photons
     factors: Sequence[mi.Float]
     squares: Sequence[mi.Float]
+    media: Media | None = None  #: the scene's, if the vertices are in media
 
     def at(self, share: mi.Float | None) -> tuple[Sequence[mi.Float], Sequence[mi.Float]]:
         """(``squares``, ``factors``) where the discs have a ``share`` of their largest area; None: all of it."""

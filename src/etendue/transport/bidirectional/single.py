@@ -9,7 +9,7 @@ but the last also transmit light. It ends at each of these, except the last, wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import drjit as dr
@@ -172,7 +172,7 @@ class _Stop:
         if walk.visibility.transparent:
             null = last & vertex.valid & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
             both = null & dr.select(s.emissive, is_emissive(walk.visibility.scene, vertex.si), vertex.smooth)
-            crossing = null & (~both | (source.decide(s.depth, dim.ROULETTE) < 0.5))
+            crossing = null & (~both | (source.decide(vertex.number, dim.ROULETTE) < 0.5))
             s.throughput = s.throughput * dr.select(both, 2.0, 1.0)
             crossed = {
                 "ray": vertex.ray(vertex.incoming),
@@ -187,6 +187,11 @@ class _Stop:
         s.hit = dr.select(ends, vertex.hit, s.hit)
         s.reached |= ends
         kept = {name: type(value)(value) for name in _KEPT if (value := getattr(s, name, None)) is not None}
+        if (medium := vertex.medium_towards(vertex.incoming)) is not None:
+            kept["flight"] = replace(s.flight)
+            counted = ones(~vertex.si.is_medium_transition())
+            crossed["flight"] = replace(s.flight, medium=medium, crossed=s.flight.crossed + (1 - counted))
+            crossed["depth"] = s.depth + counted
         return cls(s.active & ~last & vertex.valid, crossing, kept, crossed)
 
     def apply(self, s: P) -> P:
@@ -316,8 +321,11 @@ class SingleTechnique:
         tested = ~dr.all(alone == 0.0)
         target = dr.select(t == 1, sensor.target, dr.select(s == 1, point.target, light_end.position))
         ray = dr.select(t == 1, light_end.ray_to(target), eye_end.ray_to(target))
-        visible, transmittance = self.visibility.along(ray, self.max_edges - edges, tested)
-        weighted, alone = (dr.select(visible, value * transmittance, 0.0) for value in (weighted, alone))
+        medium = None
+        if (towards_light := eye_end.medium_towards(ray.d)) is not None:
+            medium = dr.select(t == 1, light_end.medium_towards(ray.d), towards_light)
+        sight = self.visibility.along(ray, self.max_edges - edges, tested, medium)
+        weighted, alone = (dr.select(sight.visible, value * sight.transmittance, 0.0) for value in (weighted, alone))
         # A sub-path without an end is connected from the origin, where the projection may be undefined.
         position = dr.select((t == 1) & sensor.active, sensor.position, place)
         rays = eye.rays + lit.rays + ones(tested)
@@ -345,10 +353,12 @@ class SingleTechnique:
             si=si,
             bsdf=self.visibility.material(si, s.ray),
             number=s.depth,
+            depth=s.depth,
             hit=s.hit,
             incoming=s.ray.d,
             distance=s.travelled + si.t,
             valid=valid,
+            medium=None if s.flight is None else s.flight.medium,
         )
 
 

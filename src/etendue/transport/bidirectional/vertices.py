@@ -34,6 +34,8 @@ _PHOTON_PACKETS = 3
 #: Bits of a depth, without and with a vertex number, which takes four.
 _DEPTH_BITS = 16
 _NUMBERED_DEPTH_BITS = 12
+#: Bit of an index on a path that marks vertices in media, if there may be any.
+_IN_MEDIUM = 1 << 13
 #: Paths whose vertices are numbered together.
 _BLOCK = 16
 
@@ -96,6 +98,7 @@ class LightVertices:
     owned: store the path of each vertex, also for merging.
     numbered: store the number of each vertex on its path, up to 15; the light point is 0. Otherwise the depth is used,
         which differs from the number after null surfaces.
+    volumes: vertices may be in media.
     """
 
     def __init__(
@@ -107,7 +110,9 @@ class LightVertices:
         numbered: bool = False,
         linear: bool = False,
         owned: bool = False,
+        volumes: bool = False,
     ) -> None:
+        self.volumes = volumes
         self.capacity = capacity
         self.indexed = indexed
         self.connected = connected
@@ -172,9 +177,11 @@ class LightVertices:
         ``wanted > capacity``."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
-        si, hit, depth = vertex.si, vertex.hit, vertex.number
+        si, hit, depth = vertex.si, vertex.hit, vertex.depth
         if self.numbered:
             depth = dr.minimum(depth, (1 << self._depth_bits) - 1) | (dr.minimum(number, 15) << self._depth_bits)
+        if self.volumes:
+            index = index | dr.select(vertex.bsdf.in_medium, _IN_MEDIUM, mi.UInt32(0))
         tag = _as_float(depth | (index << 16) | (kind << 30))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
@@ -189,16 +196,22 @@ class LightVertices:
             d_vcm, d_vc = d_vcm.connection, d_vc.end
         self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, d_vcm), slot, active)
         lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
-        self._put(2, mi.Vector4f(*packed_direction(direction), packed_normal(lit), d_vc), slot, active)
+        surface = packed_normal(lit)
+        if self.volumes:
+            surface = dr.select(vertex.bsdf.in_medium, _as_float(_medium(vertex)), surface)
+        self._put(2, mi.Vector4f(*packed_direction(direction), surface, d_vc), slot, active)
         if not self.connected:
             return
         if self.indexed:
             uv = hit.prim_uv
             first = mi.Vector4f(uv.x, uv.y, _as_float(hit.prim_index), _as_float(_pointer(hit.shape)))
-            second = mi.Vector4f(_as_float(_pointer(hit.instance)), _as_float(hit.shape_index), 0.0, 0.0)
+            medium = _as_float(_medium(vertex)) if self.volumes else 0.0
+            second = mi.Vector4f(_as_float(_pointer(hit.instance)), _as_float(hit.shape_index), medium, 0.0)
         else:
-            n, g = si.sh_frame.n, si.n
-            first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
+            n, g, u = si.sh_frame.n, si.n, si.uv.x
+            if self.volumes:
+                u = dr.select(vertex.bsdf.in_medium, _as_float(_medium(vertex)), u)
+            first, second = mi.Vector4f(n.x, n.y, n.z, u), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
         self._put(3, first, slot, active)
         self._put(4, second, slot, active)
         own = 0.0 if place is None else _as_float(place)
@@ -226,7 +239,7 @@ class LightVertices:
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         path = _as_uint(self._get(_PACKETS - 1, slot, held).y)
-        index = (_as_uint(self._get(0, slot, held).w) >> 16) & 0x3FFF
+        index = (_as_uint(self._get(0, slot, held).w) >> 16) & (_IN_MEDIUM - 1 if self.volumes else 0x3FFF)
         if by_path:
             number = dr.gather(mi.UInt32, self._start, path, held) + index
         else:
@@ -269,12 +282,19 @@ class LightVertices:
         bsdf = Material(dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x)), bsdfs)
         world = unpacked_direction(direction.x, direction.y)
         d_vcm, d_vc = weighting(throughput.w, direction.w, self._more, slot, active)
-        p = mi.Point3f(position.x, position.y, position.z)
+        p, medium = mi.Point3f(position.x, position.y, position.z), None
+        if self.volumes:
+            flag, medium = (second.z, second.z) if self.indexed else (dr.squared_norm(second.xyz), first.w)
+            bsdf.in_medium = active & ((_as_uint(flag) != 0) == self.indexed)
+            medium = dr.select(bsdf.in_medium, _as_uint(medium), 0)
         si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
+        if self.indexed and bsdf.in_medium is not None:
+            si = dr.select(bsdf.in_medium, _framed(p, mi.Vector4f(0.0, 0.0, 1.0, 0.0), mi.Vector4f(0.0)), si)
         si.wi = si.to_local(world)
         return LightVertex(
             si=si,
             bsdf=bsdf,
+            medium=medium,
             direction=world,
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
             d_vcm=d_vcm,
@@ -299,11 +319,14 @@ class LightVertices:
         pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
         return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
 
-    def positions(self) -> tuple[mi.Point3f, mi.UInt32, mi.Bool]:
-        """(positions, :class:`Kind`, mask of the slots in use), one lane a slot."""
+    def positions(self, in_media: bool = False) -> tuple[mi.Point3f, mi.UInt32, mi.Bool]:
+        """(positions, :class:`Kind`, mask of the slots in use by vertices on surfaces, or ``in_media``), one lane a
+        slot."""
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         p = self._get(0, slot, held)
+        if self.volumes:
+            held &= ((_as_uint(p.w) >> 16) & _IN_MEDIUM != 0) == in_media
         return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) >> 30, held
 
     def sorted_by(self, destination: mi.UInt32, active: mi.Bool | bool = True) -> Photons:
@@ -329,6 +352,12 @@ class LightVertices:
             dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
         dr.eval(position, flux, more, owners)
         return Photons(position, flux, more, self._depth_bits, owners)
+
+
+def _medium(vertex: WalkVertex) -> mi.UInt32:
+    """The medium of a vertex in one; 0 on surfaces."""
+    in_medium = vertex.bsdf.in_medium
+    return mi.UInt32(0) if in_medium is None or vertex.medium is None else dr.select(in_medium, vertex.medium, 0)
 
 
 def _framed(p: mi.Point3f, first: mi.Vector4f, second: mi.Vector4f) -> mi.SurfaceInteraction3f:

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.scene import Media
 
 from ..camera import CameraSampler
+from ..flight import Passing
 from ..guiding.connections import START, ConnectionGuide
 from ..guiding.emission import EmissionTraining
 from ..places import Places
 from ..rays import Edge
 from ..scattering import Scattered, shadow_roulette
-from ..vertex import WalkVertex
+from ..vertex import Vertex, WalkVertex
 from ..walk import SubPath, Walker, ones
 from .linear import Carried, Linear
-from .mis import Mis
+from .mis import Mis, Weights
 from .pyramid import Pyramid
 from .sinks import Contribution, Sink
 
@@ -34,6 +36,16 @@ class BidirectionalPath(SubPath):
     place: mi.UInt32 | None = None  #: class of the vertex that the edge leaves, for :attr:`BidirectionalWalk.choice`
 
 
+@dataclass
+class Connected:
+    """An untraced edge, one lane each."""
+
+    contribution: Contribution
+    weights: Weights
+    unshadowed: list[mi.Color3f]  #: contributions, one per radius, without visibility
+    rays: mi.UInt32  #: shadow rays cast
+
+
 @dataclass(kw_only=True)
 class BidirectionalWalk(Walker):
     """A walk whose vertices are connected by several techniques, weighted against each other [Georgiev 2012b]."""
@@ -45,6 +57,8 @@ class BidirectionalWalk(Walker):
     training: EmissionTraining | None = None  #: learns what light paths contribute
     choice: ConnectionGuide | None = None  #: which light vertices connections prefer
     places: Places | None = None  #: how the merging radius varies; None: the same everywhere
+    #: Volume in which vertices in media are merged over the area of the largest disc on surfaces; opaque.
+    balls: mi.Float | float = 0.0
 
     @property
     def pyramid(self) -> Pyramid | None:
@@ -56,9 +70,19 @@ class BidirectionalWalk(Walker):
         """Class of the sensor and of the lights."""
         return None if self.choice is None else mi.UInt32(START)
 
-    def share(self, position: mi.Point3f) -> mi.Float | None:
-        """Area of the merging disc at a position, relative to the largest; None: the same everywhere."""
-        return self.places.share(position) if self.places is not None and self.mis.techniques.merge else None
+    def share(self, vertex: Vertex) -> mi.Float | None:
+        """Expected merges at a vertex per density, relative to those on the largest disc; None: the same
+        everywhere."""
+        if not self.mis.techniques.merge:
+            return None
+        share = None if self.places is None else self.places.share(vertex.position)
+        if vertex.bsdf.in_medium is None:
+            return share
+        return dr.select(vertex.bsdf.in_medium, self.balls, 1.0 if share is None else share)
+
+    def passed(self, vertex: WalkVertex, d_vcm: Carried, d_vc: Carried) -> tuple[Carried, Carried]:
+        """``d_vcm`` and ``d_vc`` after the edge to a vertex; see :meth:`Mis.passed`."""
+        return (d_vcm, d_vc) if vertex.passing is None else self.mis.passed(d_vcm, d_vc, vertex.passing)
 
     def number(self, s: BidirectionalPath) -> mi.UInt32:
         """Number of the vertex at the end of the edge; 0 is the sensor or the light, null surfaces do not count."""
@@ -69,24 +93,34 @@ class BidirectionalWalk(Walker):
         vertex: WalkVertex,
         target: mi.Point3f,
         edges: mi.UInt32,
-        contributions: Sequence[mi.Color3f],
+        weigh: Callable[[Passing | None], tuple[Weights, list[mi.Color3f]]],
         alone: mi.Color3f,
         threshold: mi.Float,
         u: mi.Float,
         active: mi.Bool,
-    ) -> tuple[Contribution, mi.UInt32]:
-        """(contribution of the path along the untraced edge from a vertex to ``target``, shadow rays cast).
+        end: Callable[[Media], mi.Color3f | mi.Float | None] = lambda _: None,
+    ) -> Connected:
+        """Connect a vertex to ``target`` by an untraced edge.
 
-        edges: length of the path. contributions: one per radius, without visibility; alone: without a weight. Roulette
-        by ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever
-        ``alone`` is not zero.
+        edges: length of the path. weigh: (weights; contributions, one per radius, without visibility) for the
+        densities of the edge in media, which depend on its shadow ray. alone: the contribution without a weight.
+        Roulette by ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever
+        ``alone`` is not zero. end: extinction at ``target`` (see :meth:`Vertex.extinction`).
         """
-        survives, factor = shadow_roulette(contributions, threshold, u, active)
+        media = self.visibility.media
+        if not self.visibility.volumes:
+            weights, values = weigh(None)
+            survives, factor = shadow_roulette(values, threshold, u, active)
+        else:
+            survives, factor = shadow_roulette([alone], threshold, u, active)
         tested = survives if self.pyramid is None else active & ~dr.all(alone == 0.0)
-        visible, transmittance = self.visible(vertex, target, edges, tested)
-        weighted = [contribution * (factor * transmittance) for contribution in contributions]
-        active = visible if self.pyramid is None else visible & survives
-        return Contribution(weighted, alone * transmittance, active, visible), ones(tested)
+        sight = self.sight(vertex, target, edges, tested)
+        if media is not None and sight.passing is not None:
+            weights, values = weigh(Passing.of(sight.passing, vertex.extinction(media), end(media)))
+        weighted = [value * (factor * sight.transmittance) for value in values]
+        active = sight.visible if self.pyramid is None else sight.visible & survives
+        contribution = Contribution(weighted, alone * sight.transmittance, active, sight.visible)
+        return Connected(contribution, weights, values, ones(tested))
 
     def record(
         self,

@@ -115,7 +115,7 @@ def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSour
     light = walker.light_point(vertex, source, smooth)
     scattered, (f,) = vertex.sample(source, s.active, [light])
     s.throughput = dr.select(smooth, mi.Color3f(1.0), s.throughput)
-    contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+    contribution, visible = walker.next_event(s, vertex, light, f, weights)
     s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
     through = dr.select(smooth, mi.Color3f(1.0), carried * scattered.weight)
     found = [facing(vertex), smooth, scattered.weight & scattered.active, contribution & visible, emitted, carried]

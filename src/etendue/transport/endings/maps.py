@@ -22,10 +22,11 @@ from etendue.core import SampleSource
 from etendue.scene import LightTable
 from etendue.surfaces import NearestMap, SurfaceMap
 
+from ..direct import DirectWeights
 from ..emission import DirectSample
 from ..guiding.lights import LocalLights
 from ..guiding.walk import GuidedWalk
-from ..scattering import Evaluated, Scattered
+from ..scattering import Scattered
 from ..vertex import WalkVertex
 from ..visibility import Visibility
 from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
@@ -52,10 +53,10 @@ class EndingWalker(Walker):
     after: mi.UInt32  #: opaque
     by_directions: bool = False  #: whether paths end at glossy surfaces, too: the map reflects particles by directions
 
-    def arrive(self, s: SubPath) -> WalkVertex:
+    def arrive(self, s: SubPath, source: SampleSource | None = None) -> WalkVertex:
         """See :class:`Walker`."""
         assert isinstance(s, CameraPath) and s.end is not None
-        vertex = super().arrive(s)
+        vertex = super().arrive(s, source)
         vertex.scatterings = mi.UInt32(s.end.scatterings)
         return vertex
 
@@ -98,7 +99,7 @@ class EndingWalker(Walker):
         albedo = vertex.bsdf.call(mi.BSDF.eval_diffuse_reflectance, si, active=here & ~has_choice)
         albedo = dr.select(has_choice, scattered.weight, 1.0 if self.by_directions else albedo)
         towards = dr.select(dr.dot(si.n, vertex.incoming) > 0.0, -si.n, si.n)
-        depth = vertex.number + ones(has_choice)
+        depth = vertex.depth + ones(has_choice)
         count = s.end.scatterings + ones(chosen)
         end = MapEnd(here, vertex.position, towards, s.throughput * albedo, depth, count)
         if self.by_directions:
@@ -125,17 +126,9 @@ class EndingInIndirect(EndingWalker):
         """See :class:`Walker`."""
         return Walker.light_point(self, vertex, source, active, index, lights)
 
-    def next_event(
-        self,
-        s: SubPath,
-        vertex: WalkVertex,
-        light: DirectSample,
-        f: Evaluated,
-        weight: mi.Float,
-        active: mi.Bool | bool = True,
-    ) -> tuple[mi.Color3f, mi.Bool]:
+    def light_weight(self, vertex: WalkVertex, light: DirectSample, pdf: mi.Float, weights: DirectWeights) -> mi.Float:
         """See :class:`Walker`."""
-        return super().next_event(s, vertex, light, f, dr.select(self.ends(vertex), 1.0, weight), active)
+        return dr.select(self.ends(vertex), 1.0, super().light_weight(vertex, light, pdf, weights))
 
 
 @dataclass(kw_only=True)

@@ -163,6 +163,8 @@ class Guide:
         :func:`scatter_camera`), and evaluate the BSDF in ``directions``; densities are those of the mixture.
         ``cell``: from :meth:`locate`; other arguments as of :class:`Proposal`."""
         smooth = active & is_smooth(bsdf)
+        if bsdf.in_medium is not None:  # directions of phase functions are not learned
+            smooth &= ~bsdf.in_medium
         share, glow = dr.gather(mi.Vector2f, self._pairs, cell, smooth)
         trained = smooth & (share > 0.0)
 
@@ -194,7 +196,7 @@ class Guide:
             weight=dr.select(share > 0.0, weight, sampled.weight),
             pdf=dr.select(is_delta, sampled.pdf, pdf),
             reverse_pdf=dr.select(by_guide, guided.reverse_pdf, sampled.reverse_pdf),
-            cos=geometric_cos(si, direction),
+            cos=geometric_cos(si, direction, bsdf.in_medium),
             eta=dr.select(by_guide, 1.0, sampled.eta),
             is_delta=is_delta,
             is_null=sampled.is_null & ~by_guide,

@@ -54,17 +54,17 @@ class OpeningWalk(Walker):
         return self.walk(path, lambda s: self._edge(s, source), "openings")
 
     def _edge(self, s: OpeningPath, source: SampleSource) -> OpeningPath:
-        vertex = self.arrive(s)
+        vertex = self.arrive(s, source)
         hit = self.emission(s, vertex)
         found = s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf)
         seen = hit.active & ~vertex.valid & (s.depth > 1)
         self._keep(s, found, seen, s.ray.o, s.ray.d, source.decide(vertex.number, dim.KEEP))
-        s.active &= vertex.valid & (s.depth < self.max_edges)
+        s.active &= vertex.valid & self.goes_on(s, vertex)
 
         light = self.light_point(vertex, source, s.active & vertex.smooth)
         light.active &= self.lights.row(light.light, light.active).is_infinite
         scattered, (f,) = vertex.sample(source, s.active, [light])
-        found, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
+        found, visible = self.next_event(s, vertex, light, f, self.weights)
         self._keep(s, found, visible, vertex.si.p, light.direction, source.decide(vertex.number, dim.KEEP + 1))
         s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         self.advance(s, vertex, scattered, source)

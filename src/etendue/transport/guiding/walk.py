@@ -161,7 +161,7 @@ class GuidedWalk(Walker):
 
     def _edge(self, s: GuidedPath, source: SampleSource) -> GuidedPath:
         """Trace one edge, and scatter at its end."""
-        vertex = self.arrive(s)
+        vertex = self.arrive(s, source)
 
         # ---- Emission, weighted by the light choice of the cell where the edge begins
         local = self.guide.lights_at(s.cell, self.lights)
@@ -178,7 +178,7 @@ class GuidedWalk(Walker):
         light = s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf)
         self.add(s, light, hit.active, s.seen, _Odds(s.odds * found, found / reached))
         reached *= s.odds
-        s.active &= vertex.valid & (s.depth < self.max_edges)
+        s.active &= vertex.valid & self.goes_on(s, vertex)
 
         # ---- Light point and direction by the cell of the vertex
         cell = self.guide.locate(vertex.si, s.active)
@@ -188,7 +188,7 @@ class GuidedWalk(Walker):
         guided = functools.partial(self.guide.scatter, cell, vertex.proposal)
         scattered, evaluated = vertex.sample(source, s.active, lights, guided)
         for light, f in zip(lights, evaluated, strict=True):
-            contribution, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
+            contribution, visible = self.next_event(s, vertex, light, f, self.weights)
             self.add(s, contribution, visible, s.lit, self._odds_of_light(reached, light, f, local, vertex))
             self.training.record_light(s, cell, light, contribution, visible)
 
@@ -209,7 +209,7 @@ class GuidedWalk(Walker):
         factor = self.advance(s, vertex, scattered, source, (by, eta))
         s.expected = s.expected * factor
         # The same roulette without the guide: by throughput.
-        _, plain_factor = roulette(plain_by, s.eta, vertex.number, self.rr_depth, mi.Float(0.0))
+        _, plain_factor = roulette(plain_by, s.eta, vertex.depth, self.rr_depth, mi.Float(0.0))
         s.odds = self.keep_if_null(scattered, s.odds, reached * dr.select(scattered.is_delta, scattered.likelier, 1.0))
         s.odds *= dr.minimum(plain_factor / factor, 1e6)
         s.plain_pdf = self.keep_if_null(scattered, s.plain_pdf, scattered.plain_pdf)

@@ -162,11 +162,13 @@ class ImportancePilot(Walker):
     def _edge(self, s: _State, source: IndependentSource) -> _State:
         vertex: WalkVertex = self.arrive(s)
         s.active &= vertex.valid
-        joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), s.active & vertex.smooth)
+        joined = self.camera.connect(
+            vertex.si, self.camera.splat_aperture(source, vertex.number), s.active & vertex.smooth
+        )
         on_film = joined.active & self.camera.on_film(joined.position)
-        visible, _ = self.visible(vertex, joined.target, s.depth + 1, on_film)
+        visible = self.sight(vertex, joined.target, s.depth + 1, on_film).visible
         s.arrived += dr.select(visible, mi.luminance(s.throughput), 0.0)
-        s.active &= s.depth < self.max_edges
+        s.active &= self.goes_on(s, vertex)
         scattered, _ = vertex.sample(source, s.active, proposal=scatter_light)
         relative = s.throughput * scattered.weight / self.lights.flux
         self.advance(s, vertex, scattered, source, roulette_by=(relative, mi.Float(1.0)))

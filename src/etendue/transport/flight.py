@@ -1,0 +1,128 @@
+r"""Edges through participating media: transmittance, free paths, and the densities that they add.
+
+An edge of length d has the transmittance :math:`T_c = \exp(-\sigma_c d)` in each colour channel c, over several media
+the product. Walks cross media that only absorb. In media that scatter they sample the distance by the extinction of one
+channel, drawn for each edge, so that the next vertex has the density
+
+.. math:: W = \frac{1}{3} \sum_c \varsigma_c P_c
+
+with :math:`P_c` the product of the transmittances of the scattering media, :math:`\varsigma_c` the extinction at the
+new vertex if it is in a medium, and 1 if it is on a surface, times the solid-angle density over the squared distance:
+per volume in a medium, and with the cosine per area on a surface. The throughput is multiplied by :math:`T_c / W`, in a
+medium times its scattering coefficient.
+
+W depends on the edge and on its end alone. The walk from the other side has the same, with the extinction at the other
+end, so that the weights of a path do not depend on the technique that samples it.
+
+If no medium of a scene scatters with an extinction that depends on the colour, P and :math:`\varsigma` are one number
+each, which saves time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.scene import Media
+
+from . import dimensions as dim
+
+#: Length in place of an infinite one, for the transmittance of edges that leave the scene.
+FAR = 1e30
+
+
+@dataclass(kw_only=True)
+class Passed:
+    """What an edge has crossed from its start on, one lane each."""
+
+    probability: mi.Color3f | mi.Float  #: P so far, by channel
+    start: mi.Color3f | mi.Float  #: extinction at the start if it is in a medium, else 1
+    channel: mi.UInt32 | None  #: by which distances are sampled; None if the extinction has one number
+
+
+@dataclass(kw_only=True)
+class Flight:
+    """State of a walk in a scene with media, for its next edge."""
+
+    medium: mi.UInt32  #: where the edge starts, or behind the last null surface that it has crossed
+    crossed: mi.UInt32  #: null surfaces that bound a medium, so far
+    passed: Passed | None  #: None if no medium scatters
+
+    @classmethod
+    def begin(cls, media: Media, medium: mi.UInt32) -> Flight:
+        """Of an edge that starts at the sensor or on a light."""
+        passed = None
+        if media.scatters:
+            channel = None if media.is_grey else mi.UInt32(0)
+            passed = Passed(probability=media.one(), start=media.one(), channel=channel)
+        return cls(medium=medium, crossed=mi.UInt32(0), passed=passed)
+
+
+@dataclass
+class Passing:
+    """Densities W of an edge's ends, in the sampling of the edge from the other end, over those in a vacuum."""
+
+    to_end: mi.Float
+    to_start: mi.Float
+
+    @classmethod
+    def of(
+        cls,
+        probability: mi.Color3f | mi.Float,
+        start: mi.Color3f | mi.Float | None,
+        end: mi.Color3f | mi.Float | None,
+    ) -> Passing:
+        """Of the probability P of an edge by channel, and the extinctions of its ends; None on a surface."""
+        both = (mean(probability if here is None else probability * here) for here in (end, start))
+        return cls(*both)
+
+
+def mean(value: mi.Color3f | mi.Float) -> mi.Float:
+    """Mean over the channels of a colour, or the number itself."""
+    return dr.mean(value) if dr.depth_v(value) > 1 else value
+
+
+def free_path(media: Media, flight: Flight, source: SampleSource, number: mi.UInt32, active: mi.Bool) -> mi.Float:
+    """Distance to the next collision along an edge that leads to vertex ``number``; infinite where nothing scatters."""
+    passed = flight.passed
+    assert passed is not None
+    one = extinction = media.sampled(flight.medium)
+    if passed.channel is not None:
+        one = dr.select(passed.channel == 0, extinction.x, dr.select(passed.channel == 1, extinction.y, extinction.z))
+    u = source.next_1d(number, dim.FREE_PATH)
+    return dr.select(active & (one > 0.0), -dr.log(1.0 - u) / dr.select(one > 0.0, one, 1.0), dr.inf)
+
+
+def draw_channel(source: SampleSource, number: mi.UInt32) -> mi.UInt32:
+    """The channel of an edge that leaves vertex ``number``."""
+    return dr.minimum(mi.UInt32(source.decide(number, dim.CHANNEL) * 3.0), 2)
+
+
+def arrived(
+    media: Media, flight: Flight, distance: mi.Float, collided: mi.Bool | None
+) -> tuple[mi.Color3f, Passing | None]:
+    """(factor on the throughput, densities) of an edge that has gone on by ``distance``, to a collision or a surface.
+    The flight's ``passed`` becomes that of an edge that goes on through a null surface there."""
+    transmittance = dr.exp(-media.extinction(flight.medium) * dr.minimum(distance, FAR))
+    if flight.passed is None or collided is None:
+        return transmittance, None
+    passed, before = flight.passed, mean(flight.passed.probability)
+    sampled = media.sampled(flight.medium)
+    probability = passed.probability * dr.exp(-sampled * dr.minimum(distance, FAR))
+    end = dr.select(collided, sampled, 1.0)
+    passing = Passing.of(probability, passed.start, end)
+    # The throughput was divided by ``before`` where the edge has crossed a null surface.
+    scattering = dr.select(collided, media.scattering(flight.medium), 1.0)
+    possible = passing.to_end > 0.0
+    factor = transmittance * scattering * (before / dr.select(possible, passing.to_end, 1.0))
+    passed.probability = probability
+    return dr.select(possible, factor, 0.0), passing
+
+
+def medium_behind(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, medium: mi.UInt32) -> mi.UInt32:
+    """The medium on the side of a surface to which a direction leads; ``medium`` if the surface bounds none."""
+    behind = dr.reinterpret_array(mi.UInt32, si.target_medium(direction))
+    return dr.select(si.is_medium_transition(), behind, medium)

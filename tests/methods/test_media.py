@@ -1,0 +1,373 @@
+"""Participating media: closed forms, Mitsuba's ``volpath``, and what is refused."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from support.media import BLACK, FOG, camera, closed, fog, opened, slab, volpath
+from support.running import mitsuba_images, replicas, run
+from support.scenes import rgb, transform
+from support.statistics import assert_agree
+from support.tables import thinned
+
+import etendue
+from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.transport import TransportFunctions
+
+#: One row a method that renders media which scatter; merging has a radius that is small against the scenes.
+SCATTERING = {
+    "path": ("path", {}),
+    "path power": ("path", {"heuristic": "power"}),
+    "light": ("light", {"light_paths": 4.0}),
+    "bpt": ("bpt", {}),
+    "bpt path power": ("bpt", {"light_source": "path", "heuristic": "power", "connections": 2}),
+    "bpt learned": ("bpt", {"guide_connections": True, "guide_emission": "on"}),
+    "vcm": ("vcm", {}),
+    "vcm power": ("vcm", {"heuristic": "power", "direct_light": "all"}),
+    "bpm": ("bpm", {}),
+    "sppm": ("sppm", {}),
+    "sppm photons": ("sppm", {"direct": "photons"}),
+    "guided": ("guided", {"cell_samples": 500}),
+    "auto": ("auto", {}),
+}
+MERGING = ("vcm", "bpm", "sppm", "auto")
+#: Passes of these depend on each other.
+LEARNING = ("bpt learned", "guided", "auto")
+#: All methods that render media which only absorb.
+ABSORBING = ("path", "guided", "vegas", "stratified", "light", "pm", "ppm", "sppm", "bpt", "bpm", "vcm", "auto")
+CHAINS = ("pssmlt", "mmlt", "film_metropolis")
+COLOURED = fog((0.2, 0.5, 1.0), (0.9, 0.5, 0.9), scale=3.0)
+
+
+def pictures(name: str, problem: object, passes: int = 6, samples: int = 256) -> np.ndarray:
+    """Independent pictures by a row of ``SCATTERING``."""
+    method, settings = SCATTERING[name]
+    if method in MERGING:
+        settings = settings | {"volume_radius": 0.02, "radius": 0.02, "radius_unit": "absolute"}
+        settings = {k: v for k, v in settings.items() if method != "auto" or k == "radius" or k == "radius_unit"}
+    if name in LEARNING:
+        return replicas(problem, method, passes, 2, samples, **settings)
+    return run(problem, method, passes, samples, **settings).images
+
+
+# ------------------------------------------------------------------------------------------------ absorption
+
+
+@pytest.mark.parametrize("method", ABSORBING + CHAINS)
+def test_beer_and_lambert(method):
+    """A lamp through a coloured slab."""
+    scene = slab(fog((0.1, 0.5, 0.9), 0.0, scale=3.0))
+    tolerance = 0.04 if method in (*CHAINS, "light") else 0.002  # of their noise
+    picture = etendue.render(scene, method, spp=256, seed=1).image[..., :3]
+    # The longer way of slanted rays: the mean over the pixels.
+    x = (np.arange(64) + 0.5) / 32 - 1
+    slant = np.sqrt(1 + np.tan(np.radians(5)) ** 2 * (x[:, None] ** 2 + x**2))
+    expected = [np.exp(-3 * sigma * slant).mean() for sigma in (0.1, 0.5, 0.9)]
+    np.testing.assert_allclose(picture.mean((0, 1)) / expected, 1.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("method", ["path", "light", "bpt"])
+def test_nested_glass_and_media_around_camera_and_lamp(method):
+    """The camera in one medium, the lamp in another, both behind boundaries: the product of the transmittances."""
+    inner, outer = fog(0.4, 0.0), fog((0.3, 0.6, 0.9), 0.0)
+    around = {"type": "ref", "id": "inner"}
+    lamp = {"type": "rectangle", "to_world": transform().translate([0, 0, -3]).scale(0.4), "bsdf": BLACK}
+    scene = {
+        "type": "scene",
+        "fog": outer,
+        "inner": inner,
+        "camera": camera((0, 0, 2), (0, 0, -1), 4, 4.0, medium=FOG),
+        "lamp": lamp
+        | {"emitter": {"type": "area", "radiance": rgb(1, 1, 1)}, "exterior": {"type": "ref", "id": "inner"}},
+        "room": {"type": "cube", "to_world": transform().scale(10), "bsdf": {"type": "null"}, "interior": FOG},
+        "ball": {
+            "type": "sphere",
+            "center": [0, 0, -3],
+            "radius": 1.0,
+            "bsdf": {"type": "null"},
+            "interior": around,
+            "exterior": FOG,
+        },
+    }
+    picture = etendue.render(scene, method, spp=256, seed=1).image[..., :3]
+    expected = np.exp(-np.array([0.3, 0.6, 0.9]) * 4.0 - 0.4)
+    np.testing.assert_allclose(picture.mean((0, 1)) / expected, 1.0, atol=0.01 if method == "path" else 0.03)
+
+
+def test_tinted_glass():
+    """Smooth and rough glass with an absorbing interior, as by Mitsuba: its ``volpath`` has no other techniques."""
+    for bsdf in ({"type": "dielectric"}, {"type": "roughdielectric", "alpha": 0.2}):
+        ball = {"type": "sphere", "radius": 0.5, "bsdf": bsdf, "interior": FOG}
+        scene = {
+            "type": "scene",
+            "fog": fog((0.1, 0.4, 0.8), 0.0, scale=3.0),
+            "camera": camera((0, 0, 3), (0, 0, 0), 8, 25.0),
+            "sky": {"type": "constant"},
+            "ball": ball,
+        }
+        problem = opened(scene)
+        reference = mitsuba_images(problem, volpath(), 6, 256, 1)
+        for method in ("path", "bpt"):
+            assert_agree(run(problem, method, 6, 256).images, reference, f"{bsdf['type']} {method}", block=2)
+
+
+# ------------------------------------------------------------------------------------------------ scattering
+
+
+@pytest.mark.parametrize("name", SCATTERING)
+def test_furnace(name):
+    """Nothing is absorbed in a closed surface of radiance 1: it is 1 everywhere."""
+    problem = opened(closed(fog(1.5, 1.0), emission=1.0, albedo=0.0))
+    precision = 0.06 if name == "light" else 0.02
+    if SCATTERING[name][0] in MERGING:  # photons outside of the walls are missing in the balls near them
+        images = pictures(name, problem)
+        assert abs(images.mean() - 1.0) < 0.02 + 4.0 * images.mean((1, 2, 3)).std() / 5**0.5
+        return
+    assert_agree(pictures(name, problem), 1.0, name, precision=precision)
+
+
+REFERENCES: dict[str, np.ndarray] = {}
+SCENES = {
+    "grey": fog(1.0, 0.8),
+    "forward": fog(1.0, 1.0, phase={"type": "hg", "g": 0.7}),
+    "thin": fog(0.3, 1.0),
+    "thick": fog(3.0, 0.8),
+}
+
+
+@pytest.mark.parametrize("medium", thinned(SCENES, ("grey", "forward")))
+@pytest.mark.parametrize("name", SCATTERING)
+def test_a_box_of_fog(name, medium):
+    problem = opened(closed(SCENES[medium]))
+    if medium not in REFERENCES:
+        REFERENCES[medium] = mitsuba_images(problem, volpath(), 8, 1024, 1)
+    images, reference = pictures(name, problem), REFERENCES[medium]
+    if SCATTERING[name][0] in MERGING:
+        error = np.hypot(images.mean((1, 2, 3)).std() / 6**0.5, reference.mean((1, 2, 3)).std() / 8**0.5)
+        bias = 0.02 * reference.mean()  # photons outside of the walls are missing in the balls near them
+        assert abs(images.mean() - reference.mean()) < bias + 4.0 * error
+        return
+    assert_agree(images, reference, f"{name} {medium}", precision=0.1 if name == "light" else 0.03)
+
+
+@pytest.mark.parametrize("name", ["bpt", "bpt path power", "vcm", "sppm photons", "light"])
+def test_extinction_by_colour(name):
+    """Against ``path``, whose noise is low; ``volpath`` draws a channel once for a path and is too noisy in two."""
+    problem = opened(closed(COLOURED))
+    assert_agree(pictures(name, problem), run(problem, "path", 6, 2048, first=100).images, name, precision=0.08)
+
+
+@pytest.mark.parametrize("bsdf", ["null", "dielectric", "thindielectric"])
+@pytest.mark.parametrize("name", ["path", "bpt", "vcm"])
+def test_a_ball_of_fog_under_a_sky_and_a_lamp(name, bsdf):
+    """The lamp is in fog that its shape does not name."""
+    facing = transform().translate([0, 0.3, 0]).rotate([1, 0, 0], 90).scale(0.3)
+    emitter = {"type": "area", "radiance": rgb(4.0, 4.0, 4.0)}
+    scene = {
+        "type": "scene",
+        "fog": fog(2.0, 0.9),
+        "camera": camera((0, 0, 4), (0, 0, 0), 8, 35.0),
+        "sky": {"type": "constant", "radiance": rgb(0.3, 0.3, 0.3)},
+        "ball": {"type": "sphere", "bsdf": {"type": bsdf}, "interior": FOG},
+        "lamp": {"type": "rectangle", "to_world": facing, "bsdf": BLACK, "emitter": emitter},
+    }
+    problem = opened(scene)
+    reference = mitsuba_images(problem, volpath(), 8, 512, 1)
+    assert_agree(pictures(name, problem, samples=512), reference, f"{name} {bsdf}", precision=0.04)
+
+
+@pytest.mark.parametrize("name", ["path", "bpt", "vcm"])
+def test_diffusion(name):
+    r"""Deep in a medium that absorbs little, light falls as exp(-kappa r) / r, with kappa^2 = 3 sigma_a sigma_t in the
+    limit of small absorption [Ishimaru 1978]: the ratio of the light seen at two depths behind a lit slab."""
+    sigma, albedo = 8.0, 0.98
+    kappa = diffusion_length(albedo) * sigma
+    seen = []
+    for depth in (1.0, 1.5):
+        body = {"type": "cube", "to_world": transform().scale([40, 40, depth / 2]), "bsdf": {"type": "null"}}
+        scene = {
+            "type": "scene",
+            "fog": fog(sigma, albedo),
+            "camera": camera((0, 0, 5), (0, 0, 0), 1, 0.5),
+            "slab": body | {"interior": FOG},
+            "sun": {"type": "directional", "direction": [0, 0, 1], "irradiance": rgb(1, 1, 1)},
+        }
+        seen.append(pictures(name, opened(scene), 8, 4096).mean((1, 2, 3)))
+    ratio = seen[0].mean() / seen[1].mean()
+    error = ratio * np.hypot(*(s.std() / len(s) ** 0.5 / s.mean() for s in seen))
+    assert error < 0.1 * ratio
+    assert abs(ratio - np.exp(0.5 * kappa)) < 4.0 * error + 0.02 * ratio
+
+
+def diffusion_length(albedo: float) -> float:
+    """The root nu of 1 = albedo / (2 nu) ln((1 + nu) / (1 - nu)): inverse diffusion length over extinction, exact for
+    isotropic scattering."""
+    return brentq(lambda nu: albedo / (2 * nu) * np.log((1 + nu) / (1 - nu)) - 1.0, 1e-6, 1 - 1e-9)
+
+
+@pytest.mark.parametrize("method", ["path", "light", "bpt"])
+def test_single_scattering_of_a_point_light(method):
+    r"""L = \int sigma_s exp(-sigma_t (t + r)) I p / r^2 dt along a ray that passes the light at a distance."""
+    sigma, albedo, height, reach = 0.7, 0.6, 0.8, 3.0
+    scene = {
+        "type": "scene",
+        "fog": fog(sigma, albedo),
+        "camera": camera((0, 0, 6), (0, 0, 0), 1, 0.5),
+        "lamp": {"type": "point", "position": [0, height, 0], "intensity": rgb(1, 1, 1), "medium": FOG},
+        "air": {"type": "cube", "to_world": transform().scale(reach), "bsdf": {"type": "null"}, "interior": FOG},
+    }
+
+    def source(z: float) -> float:
+        r = np.hypot(z, height)
+        return sigma * albedo * np.exp(-sigma * (reach - z + r)) / (4 * np.pi * r**2)
+
+    expected = quad(source, -reach, reach)[0]
+    more = {"light_paths": 64.0} if method == "light" else {}
+    images = run(opened(scene), method, 8, 4096, max_depth=2, **more).images
+    assert_agree(images, expected, method, block=1, precision=0.1 if method == "light" else 0.02)
+
+
+def test_boundaries_of_media_are_no_edges():
+    """As in ``volpath``: a path of two edges is seen through any number of them."""
+    problem = opened(slab(fog(1.0, 0.9), sky={"type": "constant"}))
+    for depth in (1, 2, 3):
+        reference = mitsuba_images(problem, volpath(depth), 6, 256, 1)
+        for method in ("path", "bpt"):
+            images = run(problem, method, 6, 256, max_depth=depth).images
+            assert_agree(images, reference, f"{method}, {depth} edges", block=2, precision=0.05)
+
+
+def test_small_scenes_are_scaled_with_their_media():
+    """A scene is scaled on load if it is small; extinction is per length."""
+    picture = etendue.render(closed(fog(1.0, 0.8)), "path", spp=256, seed=1).image
+    small = closed(fog(1000.0, 0.8))
+    small = {name: dict(part) if isinstance(part, dict) else part for name, part in small.items()}
+    for name in ("walls", "lamp"):
+        own = small[name].get("to_world", transform())
+        small[name]["to_world"] = transform().scale(1e-3) @ own
+    small["camera"] = camera((0, 0, 0.95e-3), (0, 0, -1e-3), 8, 70.0, medium=FOG, near_clip=1e-5)
+    np.testing.assert_allclose(etendue.render(small, "path", spp=256, seed=1).image.mean(), picture.mean(), rtol=0.05)
+
+
+@pytest.mark.parametrize("method", ["vcm", "sppm"])
+def test_resumed(method, tmp_path):
+    scene, file = closed(fog()), tmp_path / "run.ckpt"
+    whole = etendue.render(scene, method, spp=32, samples_per_pass=8, seed=1).image
+    etendue.render(scene, method, spp=16, samples_per_pass=8, seed=1, checkpoint=str(file))
+    again = etendue.resume(str(file), scene=scene, spp=32).image
+    np.testing.assert_allclose(again, whole, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["path", "bpt", "vcm"])
+def test_components_add_up(method):
+    result = etendue.render(closed(fog()), method, spp=16, seed=1, components=True)
+    parts = sum(result.layers[name] for name in ("emission", "direct", "caustic", "indirect"))
+    np.testing.assert_allclose(parts, result.image, rtol=1e-3, atol=1e-5)
+    assert all(np.asarray(result.layers[name]).any() for name in ("direct", "indirect"))
+
+
+# ------------------------------------------------------------------------------------------------ refusals
+
+
+#: Functions, as no variant is set yet.
+FAULTS = {
+    "albedo": (lambda: closed(fog(1.0, 1.5)), "medium 'fog'.*albedo above 1"),
+    "negative": (lambda: closed(fog(-1.0)), "medium 'fog'.*negative"),
+    "nan": (lambda: closed(fog(float("nan"))), "medium 'fog'.*NaN"),
+    "camera": (lambda: closed(fog(), camera=camera((0, 0, 0.95), (0, 0, -1))), "sensor 'camera'.*no medium.*'walls'"),
+    "not closed": (lambda: closed(fog(), walls=wall()), "medium 'fog'.*not closed"),
+    "no exterior": (
+        lambda: closed(fog(), ball={"type": "sphere", "radius": 0.2, "bsdf": {"type": "null"}, "interior": FOG}),
+        "shape 'ball'.*no medium",
+    ),
+    "grid": (lambda: closed(fog(albedo={"type": "gridvolume", "grid": grid()})), "medium 'fog'.*'gridvolume'"),
+}
+
+
+def wall() -> dict:
+    """One side of the box."""
+    behind = transform().translate([0, 0, -1]).scale(3)
+    return {"type": "rectangle", "to_world": behind, "bsdf": BLACK, "exterior": FOG}
+
+
+def grid() -> mi.VolumeGrid:
+    return mi.VolumeGrid(np.full((2, 2, 2, 1), 0.5, np.float32))
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_faults_are_named(case):
+    scene, text = FAULTS[case]
+    with pytest.raises((SceneError, UnsupportedError), match=text) as caught:
+        etendue.render(scene(), "path", spp=1)
+    assert "\n" not in str(caught.value)
+
+
+def test_glass_that_overlaps_with_what_it_contains_only_warns(caplog):
+    """As in many models: the liquid reaches into the glass."""
+    tint = {"type": "ref", "id": "tint"}
+    ball = {"type": "sphere", "radius": 0.7, "bsdf": {"type": "null"}, "interior": tint}
+    scene = slab(fog(0.5, 0.0)) | {"tint": fog(0.9, 0.0), "ball": ball}
+    etendue.render(scene, "path", spp=1)
+    assert "give each boundary the media of its two sides" in caplog.text
+
+
+@pytest.mark.parametrize("method", ["vegas", "pm", "pssmlt", "irradiance_cache", "ambient_path"])
+def test_methods_that_do_not_render_fog_say_so(method):
+    with pytest.raises(UnsupportedError, match=f"medium 'fog'.*scatters.*'{method}'.*use"):
+        etendue.render(closed(fog()), method, spp=1)
+
+
+def test_other_wings_refuse_media():
+    """Radiosity, particles and the functions of transport have no media: never a result that is silently wrong."""
+    loaded = mi.load_dict(closed(fog()))
+    for ask in (etendue.radiosity.scene_patches, TransportFunctions, etendue.trace_particles):
+        with pytest.raises(UnsupportedError, match=r"know no participating media.*medium 'fog'"):
+            ask(loaded)
+
+
+def test_maps_are_refused(tmp_path):
+    with pytest.raises((OptionError, UnsupportedError), match="map"):
+        etendue.render(closed(fog()), "path", spp=1, map=str(tmp_path / "none.npz"))
+
+
+def test_phase_functions_by_mitsuba_s_name():
+    """Each phase function of Mitsuba with one number for its shape, against ``volpath``."""
+    for phase in (
+        {"type": "isotropic"},
+        {"type": "rayleigh"},
+        {"type": "tabphase", "values": "0.5, 1.0, 1.5"},
+        {"type": "blendphase", "weight": 0.4, "a": {"type": "hg", "g": 0.6}, "b": {"type": "hg", "g": -0.5}},
+    ):
+        problem = opened(closed(fog(1.5, 0.9, phase=phase)))
+        reference = mitsuba_images(problem, volpath(), 6, 512, 1)
+        for method in ("path", "bpt"):
+            assert_agree(run(problem, method, 6, 256).images, reference, f"{phase['type']} {method}", precision=0.04)
+
+
+def test_a_phase_function_in_python():
+    """A third-party one."""
+
+    class Forward(mi.PhaseFunction):
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.m_flags = int(+mi.PhaseFunctionFlags.Anisotropic)
+
+        def sample(self, ctx, mei, sample1, sample2, active=True):  # type: ignore[no-untyped-def]
+            local = mi.warp.square_to_cosine_hemisphere(sample2)
+            return -mei.to_world(local), mi.Spectrum(1.0), mi.warp.square_to_cosine_hemisphere_pdf(local)
+
+        def eval_pdf(self, ctx, mei, wo, active=True):  # type: ignore[no-untyped-def]
+            pdf = dr.maximum(mi.Frame3f.cos_theta(mei.to_local(-wo)), 0.0) * dr.inv_pi
+            return mi.Spectrum(pdf), pdf
+
+        def traverse(self, callback: mi.TraversalCallback) -> None:
+            pass
+
+    mi.register_phase("forward_cosine", Forward)
+    problem = opened(closed(fog(1.5, 0.9, phase={"type": "forward_cosine"})))
+    images = [run(problem, method, 6, 512).images for method in ("path", "bpt")]
+    assert_agree(images[1], images[0], "bpt and path", precision=0.04)
