@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -332,13 +331,15 @@ class CameraWalk(BidirectionalWalk):
             active = active & (self.number(s) > 1)
 
         parts, photons = 1 if s.seen is None else len(REFLECTED), gather.photons
-        places = None if gather.media or not self.places else self.places.share(vertex.position)
-        squares, factors = gather.at(places)
+        area = share
+        if vertex.bsdf.in_medium is not None:
+            area = None if gather.media or not self.places else self.places.share(vertex.position)
+        squares, factors = gather.at(area)
 
         def visit(
             photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
         ) -> tuple[list[mi.Color3f], Sums | None]:
-            values, weights = self._merged(gather, s, vertex, photon, (squares, factors), share, active)
+            values, weights = self._merged(gather, s, vertex, photon, area, share, active)
             totals, sums = found
             if self.moments and sums:
                 sums.photons = sums.photons + 1
@@ -348,7 +349,7 @@ class CameraWalk(BidirectionalWalk):
             return [total + value for total, value in zip(totals, values, strict=True)], sums
 
         found = self._blank(1, parts), s.sums
-        widest = None if places is None else functools.reduce(dr.maximum, squares)
+        widest = None if area is None else functools.reduce(dr.maximum, squares)
         totals, s.sums = gather.around(vertex.position, self.max_edges - s.depth, visit, found, active, widest)
         for component, total in s.components_of(totals[:parts]):
             self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
@@ -361,13 +362,13 @@ class CameraWalk(BidirectionalWalk):
         s: _State,
         vertex: WalkVertex,
         photon: mi.UInt32,
-        radii: tuple[Sequence[mi.Float], Sequence[mi.Float]],
+        area: mi.Float | None,
         share: mi.Float | None,
         active: mi.Bool,
     ) -> tuple[list[mi.Color3f], Weights]:
-        """(weighted contribution of one photon, by radius; weights). ``radii``: those of :meth:`Gather.at`."""
+        """(weighted contribution of one photon, by radius; weights). ``area``: see :meth:`Gather.at`."""
         photons, number = gather.photons, self.number(s)
-        squares, factors = radii
+        squares, factors = gather.at(area)
         p, position = photons.read(photon, active), photons.position(photon, active)[0]
         f = vertex.evaluate(p.direction, active)
         weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
