@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -46,6 +47,13 @@ class TexturedMesh:
     uv: Array
 
 
+def _kept(made: Any) -> Any:
+    """An atlas that is never destroyed: its destructor may wait forever for one of its threads, whose wake-up it has
+    lost, and holds Python's lock meanwhile (xatlas 0.0.11)."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(made))
+    return made
+
+
 def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, int]]:
     """The faces of patches, including backs of sheets, laid out without overlap by xatlas; and the width and height of
     the layout, at most ``size`` each. Charts are four texels apart.
@@ -61,7 +69,7 @@ def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, 
     centre, radius = patches.sphere  # xatlas has single precision and absolute thresholds for lengths
     options.padding, options.texels_per_unit = _GAP, size * radius * np.sqrt(_COVERED / patches.face_areas.sum())
     for _ in range(_TRIALS):
-        made = xatlas.Atlas()
+        made = _kept(xatlas.Atlas())
         for vertices, faces in parts:
             made.add_mesh(((vertices - centre) / radius).astype(np.float32), faces.astype(np.uint32))
         made.generate(xatlas.ChartOptions(), options)
