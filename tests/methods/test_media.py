@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from support.media import BLACK, FOG, camera, closed, fog, opened, slab, volpath
+from support.media import BLACK, FOG, camera, closed, fog, slab, volpath
 from support.running import mitsuba_images, replicas, run
 from support.scenes import rgb, transform
 from support.statistics import assert_agree
 from support.tables import thinned
 
 import etendue
-from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.core import SceneError, UnsupportedError
+from etendue.scene import load
 from etendue.transport import TransportFunctions
 
 #: One row a method that renders media which scatter; merging has a radius that is small against the scenes.
@@ -47,8 +48,8 @@ def pictures(name: str, problem: object, passes: int = 6, samples: int = 256) ->
     """Independent pictures by a row of ``SCATTERING``."""
     method, settings = SCATTERING[name]
     if method in MERGING:
-        settings = settings | {"volume_radius": 0.02, "radius": 0.02, "radius_unit": "absolute"}
-        settings = {k: v for k, v in settings.items() if method != "auto" or k == "radius" or k == "radius_unit"}
+        settings = settings | {"radius": 0.02, "radius_unit": "absolute"}
+        settings |= {} if method == "auto" else {"volume_radius": 0.02}
     if name in LEARNING:
         return replicas(problem, method, passes, 2, samples, **settings)
     return run(problem, method, passes, samples, **settings).images
@@ -109,7 +110,7 @@ def test_tinted_glass():
             "sky": {"type": "constant"},
             "ball": ball,
         }
-        problem = opened(scene)
+        problem = load(scene)
         reference = mitsuba_images(problem, volpath(), 6, 256, 1)
         for method in ("path", "bpt"):
             assert_agree(run(problem, method, 6, 256).images, reference, f"{bsdf['type']} {method}", block=2)
@@ -121,7 +122,7 @@ def test_tinted_glass():
 @pytest.mark.parametrize("name", SCATTERING)
 def test_furnace(name):
     """Nothing is absorbed in a closed surface of radiance 1: it is 1 everywhere."""
-    problem = opened(closed(fog(1.5, 1.0), emission=1.0, albedo=0.0))
+    problem = load(closed(fog(1.5, 1.0), emission=1.0, albedo=0.0))
     precision = 0.06 if name == "light" else 0.02
     if SCATTERING[name][0] in MERGING:  # photons outside of the walls are missing in the balls near them
         images = pictures(name, problem)
@@ -142,7 +143,7 @@ SCENES = {
 @pytest.mark.parametrize("medium", thinned(SCENES, ("grey", "forward")))
 @pytest.mark.parametrize("name", SCATTERING)
 def test_a_box_of_fog(name, medium):
-    problem = opened(closed(SCENES[medium]))
+    problem = load(closed(SCENES[medium]))
     if medium not in REFERENCES:
         REFERENCES[medium] = mitsuba_images(problem, volpath(), 8, 1024, 1)
     images, reference = pictures(name, problem), REFERENCES[medium]
@@ -157,7 +158,7 @@ def test_a_box_of_fog(name, medium):
 @pytest.mark.parametrize("name", ["bpt", "bpt path power", "vcm", "sppm photons", "light"])
 def test_extinction_by_colour(name):
     """Against ``path``, whose noise is low; ``volpath`` draws a channel once for a path and is too noisy in two."""
-    problem = opened(closed(COLOURED))
+    problem = load(closed(COLOURED))
     assert_agree(pictures(name, problem), run(problem, "path", 6, 2048, first=100).images, name, precision=0.08)
 
 
@@ -175,7 +176,7 @@ def test_a_ball_of_fog_under_a_sky_and_a_lamp(name, bsdf):
         "ball": {"type": "sphere", "bsdf": {"type": bsdf}, "interior": FOG},
         "lamp": {"type": "rectangle", "to_world": facing, "bsdf": BLACK, "emitter": emitter},
     }
-    problem = opened(scene)
+    problem = load(scene)
     reference = mitsuba_images(problem, volpath(), 8, 512, 1)
     assert_agree(pictures(name, problem, samples=512), reference, f"{name} {bsdf}", precision=0.04)
 
@@ -196,7 +197,7 @@ def test_diffusion(name):
             "slab": body | {"interior": FOG},
             "sun": {"type": "directional", "direction": [0, 0, 1], "irradiance": rgb(1, 1, 1)},
         }
-        seen.append(pictures(name, opened(scene), 8, 4096).mean((1, 2, 3)))
+        seen.append(pictures(name, load(scene), 8, 4096).mean((1, 2, 3)))
     ratio = seen[0].mean() / seen[1].mean()
     error = ratio * np.hypot(*(s.std() / len(s) ** 0.5 / s.mean() for s in seen))
     assert error < 0.1 * ratio
@@ -227,13 +228,13 @@ def test_single_scattering_of_a_point_light(method):
 
     expected = quad(source, -reach, reach)[0]
     more = {"light_paths": 64.0} if method == "light" else {}
-    images = run(opened(scene), method, 8, 4096, max_depth=2, **more).images
+    images = run(load(scene), method, 8, 4096, max_depth=2, **more).images
     assert_agree(images, expected, method, block=1, precision=0.1 if method == "light" else 0.02)
 
 
 def test_boundaries_of_media_are_no_edges():
     """As in ``volpath``: a path of two edges is seen through any number of them."""
-    problem = opened(slab(fog(1.0, 0.9), sky={"type": "constant"}))
+    problem = load(slab(fog(1.0, 0.9), sky={"type": "constant"}))
     for depth in (1, 2, 3):
         reference = mitsuba_images(problem, volpath(depth), 6, 256, 1)
         for method in ("path", "bpt"):
@@ -263,11 +264,32 @@ def test_resumed(method, tmp_path):
 
 
 @pytest.mark.parametrize("method", ["path", "bpt", "vcm"])
-def test_components_add_up(method):
-    result = etendue.render(closed(fog()), method, spp=16, seed=1, components=True)
+def test_components_are_those_of_the_paths(method):
+    """A collision is a scattering event: direct light is that of paths of two edges, all other light indirect."""
+    scene = closed(fog())
+    result = etendue.render(scene, method, spp=1024, seed=1, components=True)
     parts = sum(result.layers[name] for name in ("emission", "direct", "caustic", "indirect"))
     np.testing.assert_allclose(parts, result.image, rtol=1e-3, atol=1e-5)
-    assert all(np.asarray(result.layers[name]).any() for name in ("direct", "indirect"))
+    direct, indirect = (np.asarray(result.layers[name]).mean() for name in ("direct", "indirect"))
+    short, whole = (etendue.render(scene, "path", spp=4096, seed=2, max_depth=d).image.mean() for d in (2, -1))
+    np.testing.assert_allclose([direct, indirect], [short, whole - short], rtol=0.05)
+
+
+def test_a_lamp_that_is_partly_in_fog():
+    """And names no medium: the rays of its halves start in fog and outside of it."""
+    emitter = {"type": "area", "radiance": rgb(4.0, 4.0, 4.0)}
+    scene = {
+        "type": "scene",
+        "fog": fog(2.0, 0.9),
+        "camera": camera((0, 0, 4), (0, 0, 0), 8, 35.0),
+        "ball": {"type": "sphere", "bsdf": {"type": "null"}, "interior": FOG},
+        "lamp": {"type": "sphere", "center": [0, 1, 0], "radius": 0.3, "bsdf": BLACK, "emitter": emitter},
+    }
+    problem = load(scene)
+    reference = run(problem, "path", 6, 1024, seed=2).images
+    assert_agree(run(problem, "bpt", 6, 512).images, reference, "bpt", block=2)
+    splats = run(problem, "bpt", 6, 512, next_events=0, connections=0).images
+    assert_agree(splats, reference, "hits and splats", block=2, precision=0.05)
 
 
 # ------------------------------------------------------------------------------------------------ refusals
@@ -330,7 +352,7 @@ def test_other_wings_refuse_media():
 
 
 def test_maps_are_refused(tmp_path):
-    with pytest.raises((OptionError, UnsupportedError), match="map"):
+    with pytest.raises(UnsupportedError, match="cannot end in a map"):
         etendue.render(closed(fog()), "path", spp=1, map=str(tmp_path / "none.npz"))
 
 
@@ -342,7 +364,7 @@ def test_phase_functions_by_mitsuba_s_name():
         {"type": "tabphase", "values": "0.5, 1.0, 1.5"},
         {"type": "blendphase", "weight": 0.4, "a": {"type": "hg", "g": 0.6}, "b": {"type": "hg", "g": -0.5}},
     ):
-        problem = opened(closed(fog(1.5, 0.9, phase=phase)))
+        problem = load(closed(fog(1.5, 0.9, phase=phase)))
         reference = mitsuba_images(problem, volpath(), 6, 512, 1)
         for method in ("path", "bpt"):
             assert_agree(run(problem, method, 6, 256).images, reference, f"{phase['type']} {method}", precision=0.04)
@@ -368,6 +390,6 @@ def test_a_phase_function_in_python():
             pass
 
     mi.register_phase("forward_cosine", Forward)
-    problem = opened(closed(fog(1.5, 0.9, phase={"type": "forward_cosine"})))
+    problem = load(closed(fog(1.5, 0.9, phase={"type": "forward_cosine"})))
     images = [run(problem, method, 6, 512).images for method in ("path", "bpt")]
     assert_agree(images[1], images[0], "bpt and path", precision=0.04)

@@ -6,8 +6,6 @@ from typing import Any
 
 import mitsuba as mi
 
-from etendue.scene import Problem, load
-
 from .scenes import Dict, diffuse, rgb, transform
 
 #: The medium of the scenes' fog.
@@ -53,11 +51,6 @@ def slab(medium: Dict, **more: Any) -> Dict:
     body = {"type": "cube", "to_world": transform().scale([3, 3, 0.5]), "bsdf": {"type": "null"}, "interior": FOG}
     parts = {"fog": medium, "camera": camera((0, 0, 5), (0, 0, 0), 4, 10.0), "lamp": lamp, "slab": body}
     return {"type": "scene"} | parts | more
-
-
-def opened(scene: Dict) -> Problem:
-    """A scene as the methods take it."""
-    return load(scene)
 
 
 def volpath(depth: int = -1) -> mi.Integrator:

@@ -34,7 +34,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Problem, coefficients, graph, media_of
+from etendue.scene import LightTable, Problem, graph, media_of, scatters
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -219,11 +219,12 @@ class ImageMethod(Method):
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
-        self._check_media(problem)
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
         self.lights, self.visibility = LightTable(problem.scene), Visibility(problem.scene, problem.sensor)
+        if self.visibility.media is not None:
+            self._check_media(problem)
         self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
@@ -233,10 +234,10 @@ class ImageMethod(Method):
     def _check_media(self, problem: Problem) -> None:
         """Raise :class:`UnsupportedError` if the scene has media that the method cannot render."""
         for medium in media_of(problem.scene, problem.sensor):
-            scatters = bool(coefficients(medium)[1].any())
-            if self.media is None or (scatters and self.media != "scattering"):
-                what = "scatters light" if scatters else "absorbs light"
-                others = "auto, vcm, bpt, sppm or path" if scatters else "auto, vcm, bpt or path"
+            if self.media is None or (scatters(medium) and self.media != "scattering"):
+                what, others = "absorbs light", "auto, vcm, bpt or path"
+                if scatters(medium):
+                    what, others = "scatters light", "auto, vcm, bpt, sppm or path"
                 raise UnsupportedError(
                     f"{graph.describe(medium, 'medium')} {what}, which method '{self.name}' does not render; use "
                     f"{others}"

@@ -48,10 +48,11 @@ if TYPE_CHECKING:
     )
     from .media import (
         Media as Media,
-        coefficients as coefficients,
         is_phase as is_phase,
         media_of as media_of,
+        medium_behind as medium_behind,
         refuse_media as refuse_media,
+        scatters as scatters,
     )
     from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
     from .meshes import box as box, joined as joined

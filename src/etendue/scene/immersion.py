@@ -14,7 +14,7 @@ import numpy as np
 from etendue.core import Array, SceneError, copied_to_device
 
 from .graph import describe, shapes
-from .media import UNKNOWN, Media, coefficients, media_of, number_of
+from .media import UNKNOWN, Media, media_of, medium_behind, number_of, scatters
 from .space import warn_once
 
 #: Rays from each lamp, and from the sensor; and most surfaces on a ray.
@@ -50,10 +50,6 @@ def _is_clear(si: mi.SurfaceInteraction3f) -> mi.Bool:
     return mi.has_flag(flags, mi.BSDFFlags.Null) | mi.has_flag(flags, mi.BSDFFlags.Transmission)
 
 
-def _behind(si: mi.SurfaceInteraction3f, d: mi.Vector3f, medium: mi.UInt32) -> mi.UInt32:
-    return dr.select(si.is_medium_transition(), dr.reinterpret_array(mi.UInt32, si.target_medium(d)), medium)
-
-
 def _crossed(scene: mi.Scene, ray: mi.Ray3f, medium: mi.UInt32) -> _Crossing:
     """Rays that start in ``medium``, to their ends."""
     n = dr.width(ray.o)
@@ -68,7 +64,7 @@ def _crossed(scene: mi.Scene, ray: mi.Ray3f, medium: mi.UInt32) -> _Crossing:
         s.wrong = dr.select(wrong, dr.reinterpret_array(mi.UInt32, si.shape), s.wrong)
         s.near, s.held = dr.select(wrong, near, s.near), dr.select(s.active, s.medium, s.held)
         s.left |= s.active & ~si.is_valid()
-        s.medium = dr.select(hit, _behind(si, s.d, s.medium), s.medium)
+        s.medium = dr.select(hit, medium_behind(si, s.d, s.medium), s.medium)
         s.count += 1
         s.active = hit & ~wrong & _is_clear(si) & (s.count < _MOST)
         s.o = dr.select(hit, si.spawn_ray(s.d).o, s.o)
@@ -93,9 +89,9 @@ def _crossed(scene: mi.Scene, ray: mi.Ray3f, medium: mi.UInt32) -> _Crossing:
 
 def media_in(scene: mi.Scene, sensor: mi.Sensor | None) -> Media | None:
     """The media of a scene; None if there are none."""
-    if not media_of(scene, sensor):
+    if not (found := media_of(scene, sensor)):
         return None
-    return Media(scene, sensor, [_outside(scene, emitter) for emitter in scene.emitters()])
+    return Media(scene, found, sensor, [_outside(scene, emitter) for emitter in scene.emitters()])
 
 
 def _outside(scene: mi.Scene, emitter: mi.Emitter) -> int:
@@ -103,19 +99,19 @@ def _outside(scene: mi.Scene, emitter: mi.Emitter) -> int:
     shape = emitter.get_shape()
     if shape is not None and mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface) and shape.is_medium_transition():
         return number_of(shape.exterior_medium())
-    return number_of(emitter.get_medium()) or around(scene, emitter)
+    return number_of(emitter.get_medium()) or _around(scene, emitter)
 
 
-def around(scene: mi.Scene, emitter: mi.Emitter) -> int:
+def _around(scene: mi.Scene, emitter: mi.Emitter) -> int:
     """Number of the medium that a lamp without one of its own is in, by the boundaries that are seen from it; 0 for
     none, or if no boundary is seen; UNKNOWN if parts of it are in different media."""
-    shape, count = emitter.get_shape(), _FROM_LAMP
+    shape = emitter.get_shape()
     rng = np.random.default_rng(0)
-    on_shape, towards = (_points(*rng.random((2, count))) for _ in range(2))
+    on_shape, towards = (_points(*rng.random((2, _FROM_LAMP))) for _ in range(2))
     if shape is not None and mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
         place = shape.sample_position(0.0, on_shape)
         d = mi.Frame3f(place.n).to_world(mi.warp.square_to_cosine_hemisphere(towards))
-        si = dr.zeros(mi.SurfaceInteraction3f, count)
+        si = dr.zeros(mi.SurfaceInteraction3f, _FROM_LAMP)
         si.p, si.n = place.p, place.n
         ray = si.spawn_ray(d)
     elif mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition):
@@ -161,7 +157,7 @@ def check_media(scene: mi.Scene, sensor: mi.Sensor) -> None:
         length = dr.minimum(si.t, dr.norm(scene.bbox().extents()))
         _fits(scene, sensor, _crossed(scene, mi.Ray3f(ray(share * length), way), medium), named)
         goes_on = si.is_valid() & _is_clear(si)
-        medium = dr.select(goes_on, _behind(si, ray.d, medium), medium)
+        medium = dr.select(goes_on, medium_behind(si, ray.d, medium), medium)
         ray = dr.select(goes_on, si.spawn_ray(ray.d), ray)
 
 
@@ -199,7 +195,7 @@ def _fits(
 
 
 def _fault(scene: mi.Scene, sensor: mi.Sensor, message: str) -> None:
-    if any(coefficients(medium)[1].any() for medium in media_of(scene, sensor)):
+    if any(map(scatters, media_of(scene, sensor))):
         raise SceneError(message)
     warn_once(message)
 

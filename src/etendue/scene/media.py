@@ -21,6 +21,8 @@ from .members import Members, bsdfs
 
 #: In place of the number of a medium that is not known.
 UNKNOWN = (1 << 32) - 1
+#: Numbers of a medium on the device: three colours.
+_COLUMNS = 9
 
 
 def media_of(scene: mi.Scene, sensor: mi.Sensor | None = None) -> list[mi.Medium]:
@@ -47,6 +49,17 @@ def coefficients(medium: mi.Medium) -> tuple[Array, Array]:
     return np.array(extinction, np.float64).ravel(), np.array(scattering, np.float64).ravel()
 
 
+def scatters(medium: mi.Medium) -> bool:
+    """Whether a homogeneous medium scatters light, in any colour."""
+    return bool(coefficients(medium)[1].any())
+
+
+def medium_behind(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, medium: mi.UInt32) -> mi.UInt32:
+    """The medium on the side of a surface to which a direction leads; ``medium`` if the surface bounds none."""
+    behind = dr.reinterpret_array(mi.UInt32, si.target_medium(direction))
+    return dr.select(si.is_medium_transition(), behind, medium)
+
+
 def refuse_media(scene: mi.Scene, what: str, sensor: mi.Sensor | None = None) -> None:
     """Raise :class:`UnsupportedError` if a scene has media. ``what``: the subject of the message, in the plural."""
     if found := media_of(scene, sensor):
@@ -67,20 +80,22 @@ class Media:
 
     Parameters
     ----------
+    found: the media, at least one.
     sensor: that of the camera paths.
     outside: number of the medium that the rays of each emitter start in, or UNKNOWN, if it depends on the ray.
     """
 
-    def __init__(self, scene: mi.Scene, sensor: mi.Sensor | None, outside: Sequence[int]) -> None:
-        found = media_of(scene, sensor)
+    def __init__(
+        self, scene: mi.Scene, found: Sequence[mi.Medium], sensor: mi.Sensor | None, outside: Sequence[int]
+    ) -> None:
         numbers = [number_of(medium) for medium in found]
-        rows = np.zeros((max(numbers) + 1, 12))
+        rows = np.zeros((max(numbers) + 1, _COLUMNS))
         materials = np.zeros(len(rows), np.uint32)
         kept, ids = [], []
         for number, medium in zip(numbers, found, strict=True):
             extinction, scattering = coefficients(medium)
             sampled = extinction if scattering.any() else 0.0 * extinction
-            rows[number] = np.concatenate([extinction, sampled, scattering, np.zeros(3)])
+            rows[number] = np.concatenate([extinction, sampled, scattering])
             if scattering.any():
                 kept.append(_phase_material(mi.variant())(medium.phase_function()))
                 materials[number] = _pointer(kept[-1])
@@ -117,7 +132,7 @@ class Media:
 
     def sampled(self, medium: mi.UInt32) -> mi.Color3f | mi.Float:
         """Extinction with which walks sample free paths, by colour channel, or as one number; see above."""
-        return dr.gather(mi.Float, self._rows, medium * 12 + 3) if self.is_grey else self._colour(medium, 1)
+        return dr.gather(mi.Float, self._rows, medium * _COLUMNS + 3) if self.is_grey else self._colour(medium, 1)
 
     def one(self) -> mi.Color3f | mi.Float:
         """1, of the type of :meth:`sampled`."""
@@ -132,7 +147,7 @@ class Media:
         return dr.reinterpret_array(mi.BSDFPtr, dr.gather(mi.UInt32, self._materials, medium))
 
     def _colour(self, medium: mi.UInt32, column: int) -> mi.Color3f:
-        first = medium * 12 + 3 * column
+        first = medium * _COLUMNS + 3 * column
         return mi.Color3f(*(dr.gather(mi.Float, self._rows, first + channel) for channel in range(3)))
 
 

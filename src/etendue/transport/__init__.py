@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         Gather as Gather,
         Photon as Photon,
         Photons as Photons,
-        unfolded as unfolded,
         weigh as weigh,
     )
     from .bidirectional.pyramid import PYRAMID_MAX as PYRAMID_MAX, Pyramid as Pyramid
@@ -124,7 +123,6 @@ if TYPE_CHECKING:
         evaluate_camera_end as evaluate_camera_end,
         evaluate_light_end as evaluate_light_end,
         exchanged as exchanged,
-        geometric_cos as geometric_cos,
         is_smooth as is_smooth,
         roulette as roulette,
         scatter_camera as scatter_camera,

@@ -120,9 +120,3 @@ def arrived(
     factor = transmittance * scattering * (before / dr.select(possible, passing.to_end, 1.0))
     passed.probability = probability
     return dr.select(possible, factor, 0.0), passing
-
-
-def medium_behind(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, medium: mi.UInt32) -> mi.UInt32:
-    """The medium on the side of a surface to which a direction leads; ``medium`` if the surface bounds none."""
-    behind = dr.reinterpret_array(mi.UInt32, si.target_medium(direction))
-    return dr.select(si.is_medium_transition(), behind, medium)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import drjit as dr
 import mitsuba as mi
@@ -42,6 +42,21 @@ class _Collision(SubPath):
     position: mi.Point3f
     reached: mi.Bool
 
+    @classmethod
+    def start(cls, ray: mi.Ray3f, eta: mi.Float | None = None) -> Self:
+        """The state before the first edge."""
+        return cls(
+            active=mi.Bool(True),
+            ray=mi.Ray3f(ray),
+            throughput=mi.Color3f(1.0),
+            eta=eta,
+            depth=mi.UInt32(1),
+            travelled=mi.Float(0.0),
+            rays=mi.UInt32(0),
+            position=mi.Point3f(0.0),
+            reached=mi.Bool(False),
+        )
+
 
 @dataclass(kw_only=True)
 class _Sight(_Collision):
@@ -53,18 +68,7 @@ class _Sight(_Collision):
 def first_collisions(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tuple[mi.Point3f, mi.Bool]:
     """(points at which camera paths first collide with a medium, mask of the paths that do so before they are scattered
     by anything but mirrors and glass)."""
-    lanes = dr.width(ray.o)
-    path = _Collision(
-        active=dr.full(mi.Bool, True, lanes),
-        ray=mi.Ray3f(ray),
-        throughput=mi.Color3f(1.0),
-        eta=mi.Float(1.0),
-        depth=mi.UInt32(1),
-        travelled=mi.Float(0.0),
-        rays=mi.UInt32(0),
-        position=mi.Point3f(0.0),
-        reached=mi.Bool(False),
-    )
+    path = _Collision.start(ray, mi.Float(1.0))
 
     def edge(s: _Collision) -> _Collision:
         vertex = walker.arrive(s, source)
@@ -84,17 +88,7 @@ def first_smooth(walker: Walker, ray: mi.Ray3f, through: bool) -> tuple[mi.Point
     """(positions of the first surfaces with a smooth component that camera rays reach, directly, in mirrors or straight
     through glass; mask of the rays that reach one). BSDFs are not sampled, which keeps the kernel small. ``through``:
     whether the scene has mirrors or glass."""
-    path = _Sight(
-        active=mi.Bool(True),
-        ray=mi.Ray3f(ray),
-        throughput=mi.Color3f(1.0),
-        eta=None,
-        depth=mi.UInt32(1),
-        travelled=mi.Float(0.0),
-        rays=mi.UInt32(0),
-        position=mi.Point3f(0.0),
-        reached=mi.Bool(False),
-    )
+    path = _Sight.start(ray)
 
     def edge(s: _Sight) -> _Sight:
         vertex = walker.arrive(s)

@@ -14,9 +14,9 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Material, Media
+from etendue.scene import Material, Media, medium_behind
 
-from .flight import Passing, medium_behind
+from .flight import Passing
 from .scattering import (
     Evaluated,
     Proposal,
@@ -102,9 +102,7 @@ class WalkVertex(Vertex):
     """End of the edge that a walk has traced last, one lane each; the ray missed the scene where not ``valid``."""
 
     number: mi.UInt32  #: vertices and null surfaces of the sub-path up to this one; selects its random numbers
-    depth: (
-        mi.UInt32
-    )  #: edges of the sub-path up to the vertex: as ``number``, without null surfaces that bound a medium
+    depth: mi.UInt32  #: edges up to the vertex: as ``number``, without null surfaces that bound a medium
     hit: mi.PreliminaryIntersection3f
     incoming: mi.Vector3f  #: world direction of the edge
     distance: mi.Float  #: length of the edge from the last vertex, through null surfaces on the way

@@ -18,9 +18,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import Material, Media, bsdfs, graph, materials, media_in, medium_at
+from etendue.scene import Material, Media, bsdfs, graph, materials, media_in, medium_at, medium_behind
 
-from .flight import FAR, medium_behind
+from .flight import FAR
 
 
 @dataclass

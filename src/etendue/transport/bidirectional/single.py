@@ -22,7 +22,7 @@ from etendue.scene import LightTable
 from .. import dimensions as dim
 from ..camera import CameraConnection, CameraSampler
 from ..emission import is_emissive, sample_direct
-from ..scattering import cosine_ratio, evaluate_light_end, geometric_cos, scatter_camera
+from ..scattering import evaluate_light_end, scatter_camera
 from ..vertex import WalkVertex
 from ..visibility import Visibility
 from ..walk import ones
@@ -122,7 +122,7 @@ class _CameraSide(BidirectionalWalk):
 
         def edge(s: _CameraEnding) -> _CameraEnding:
             vertex = self.arrive(s)
-            on_edge, cos = (s.d_vcm, s.d_vc), geometric_cos(vertex.si, vertex.incoming)
+            on_edge, cos = (s.d_vcm, s.d_vc), vertex.cos(vertex.incoming)
             d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
             s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
             stop = _Stop.at(self, s, vertex, source, on_edge)
@@ -284,8 +284,8 @@ class SingleTechnique:
         g = evaluate_light_end(
             light_end.bsdf, light_end.si, light_end.si.to_local(back), dr.select(t == 1, sensor.active, joins)
         )
-        geometric, lit_cos = geometric_cos(eye_end.si, towards), geometric_cos(light_end.si, light_end.incoming)
-        light_cos, ratio = geometric_cos(light_end.si, back), cosine_ratio(light_end.si, back)
+        geometric, lit_cos = eye_end.cos(towards), light_end.cos(light_end.incoming)
+        light_cos, ratio = light_end.cos(back), light_end.cosine_ratio(back)
         on_eye, on_light = (self.mis.joined(number, eye.d_vcm), eye.d_vc), (lit.d_vcm, lit.d_vc)
 
         # ---- s = 1: next event
