@@ -20,8 +20,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     (tmp_path / "scene.xml").write_text(SCENE)
-    values = "".join(f'<float name="{name}" value="0.5"/>' for name in ("albedo", "sigma_t"))
-    medium = f'<medium type="heterogeneous" name="interior">{values}</medium>'
+    flakes = '<phase type="sggx"><volume name="S" type="constvolume"><float name="value" value="1"/></volume></phase>'
+    medium = f'<medium type="homogeneous" name="interior">{flakes}</medium>'
     foggy = SCENE.replace("</shape>", f"{medium}</shape>", 1)
     assert foggy != SCENE
     (tmp_path / "foggy.xml").write_text(foggy)
@@ -38,7 +38,7 @@ def test_a_scene_in_order(capsys):
 def test_what_is_not_supported_is_a_row(capsys):
     assert run("check foggy.xml --quick") == 1
     captured = capsys.readouterr()
-    assert "heterogeneous" in captured.out
+    assert "microflakes" in captured.out
     assert captured.err == ""
 
 

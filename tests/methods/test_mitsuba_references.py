@@ -18,8 +18,8 @@ SAMPLES = 500_000
 #: Mitsuba's level, at which one pixel of a picture is called different, and the share of values that have to agree.
 LEVEL, AGREEING = 0.01, 0.9975
 FOLDER = SCENES / "mitsuba-data" / "tests" / "scenes"
-#: Scenes are named after the integrator of the reference; heterogeneous media are not supported.
-FILES = [file for file in sorted(FOLDER.glob("*/*.xml")) if not file.stem.startswith("test_hetero")]
+#: Scenes are named after the integrator of the reference.
+FILES = sorted(FOLDER.glob("*/*.xml"))
 
 
 def _xyz(picture: mi.Bitmap) -> np.ndarray:

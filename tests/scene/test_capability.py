@@ -9,7 +9,7 @@ from etendue.scene import check, load
 
 DIFFUSE = {"type": "diffuse"}
 AREA = {"type": "area", "radiance": 2.0}
-MEDIUM = {"type": "heterogeneous", "albedo": 0.5, "sigma_t": 1.0}
+MEDIUM = {"type": "homogeneous", "phase": {"type": "sggx", "S": {"type": "constvolume", "value": 1.0}}}
 MASK = {"type": "mask", "inner": DIFFUSE}
 CHECKERS = {"type": "checkerboard"}
 
@@ -107,17 +107,17 @@ GROUP_OF_FOGGY = {"type": "shapegroup", "leaf": ball(DIFFUSE, interior=MEDIUM)}
 REFUSED = {
     "interior": (
         {"fog": ball({"type": "dielectric"}, interior=MEDIUM)},
-        "medium.*of type 'heterogeneous'.*homogeneous",
+        "medium.*of type 'homogeneous'.*microflakes",
     ),
-    "exterior": ({"fog": ball(DIFFUSE, exterior=MEDIUM)}, "medium.*of type 'heterogeneous'"),
-    "foggy camera": ({"camera": {"type": "perspective", "medium": MEDIUM}}, "medium.*of type 'heterogeneous'"),
+    "exterior": ({"fog": ball(DIFFUSE, exterior=MEDIUM)}, "medium.*of type 'homogeneous'"),
+    "foggy camera": ({"camera": {"type": "perspective", "medium": MEDIUM}}, "medium.*of type 'homogeneous'"),
     "distant": ({"camera": {"type": "distant", "film": PIXEL}}, "'distant'"),
     "radiance meter": ({"camera": {"type": "radiancemeter", "film": PIXEL}}, "'radiancemeter'"),
     "irradiance meter": (
         {"camera": {"type": "rectangle", "meter": {"type": "irradiancemeter", "film": PIXEL}}},
         "'meter' of type 'irradiancemeter'",
     ),
-    "fog in a shape group": ({"group": GROUP_OF_FOGGY}, "medium.*of type 'heterogeneous'"),
+    "fog in a shape group": ({"group": GROUP_OF_FOGGY}, "medium.*of type 'homogeneous'"),
 }
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .scenes import Dict, diffuse, rgb, transform
 
@@ -56,3 +58,20 @@ def slab(medium: Dict, **more: Any) -> Dict:
 def volpath(depth: int = -1) -> mi.Integrator:
     """Mitsuba's own integrator for media."""
     return mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 8})
+
+
+def smoke(extinction: Any, albedo: Any = 0.8, **more: Any) -> Dict:
+    """A heterogeneous medium in the cube of half-width 1. Arrays are grids, by (z, y, x, channel)."""
+    given = {"sigma_t": extinction, "albedo": albedo}
+    return {"type": "heterogeneous"} | {k: v if isinstance(v, float) else grid(v) for k, v in given.items()} | more
+
+
+def grid(values: ArrayLike) -> Dict:
+    """A grid over the cube of half-width 1."""
+    placed = transform().translate([-1, -1, -1]).scale(2)
+    return {"type": "gridvolume", "grid": mi.VolumeGrid(np.asarray(values, np.float32)), "to_world": placed}
+
+
+def clouds(channels: int = 1, seed: int = 0) -> NDArray[np.float64]:
+    """Extinctions from 0 to 1, a third of them 0: ``channels`` at 4^3 points, between which a grid interpolates."""
+    return np.maximum(np.random.default_rng(seed).uniform(-0.5, 1.0, (4, 4, 4, channels)), 0.0)

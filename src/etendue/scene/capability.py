@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from .changes.transforms import fault, mirrors, misshapen
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
-from .media import coefficients, media_of
+from .media import is_constant, media_of, volume_of
 from .space import SENSORS
 
 if TYPE_CHECKING:
@@ -57,12 +58,8 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
         raise SceneError("the scene has no shape, so there is nothing to render; add geometry")
     for shape in every_shape:
         _check_shape(shape)
-    if found := media_of(scene, sensor):
-        from .immersion import check_media
-
-        for medium in found:
-            _check_medium(medium)
-        check_media(scene, sensor)
+    for medium in media_of(scene, sensor):
+        _check_medium(medium)
     if not scene.emitters():
         raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
     for emitter in scene.emitters():
@@ -154,21 +151,34 @@ def _check_medium(medium: mi.Medium) -> None:
     import mitsuba as mi
 
     name = describe(medium, "medium")
-    if plugin_name(medium) != "homogeneous":
-        raise UnsupportedError(f"{name} is not supported; use a 'homogeneous' one")
+    if plugin_name(medium) not in ("homogeneous", "heterogeneous"):
+        raise UnsupportedError(f"{name} is not supported; use a 'homogeneous' or a 'heterogeneous' one")
+    if mi.has_flag(medium.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
+        raise UnsupportedError(f"{name} has a phase function of microflakes, which is not supported; use 'hg'")
+    if medium.is_homogeneous() and not is_constant(volume_of(medium, "sigma_t")):
+        raise SceneError(f"{name} has a volume as its 'sigma_t', but is homogeneous; make it 'heterogeneous'")
     for node in below(medium):
-        if isinstance(node, mi.Volume) and plugin_name(node) != "constvolume":
-            raise UnsupportedError(
-                f"{name} has a {describe(node, 'volume')}, which is not supported; use numbers or colours"
-            )
         _check_values(node, name)
-    extinction, scattering = coefficients(medium)
-    if not (np.isfinite(extinction).all() and np.isfinite(scattering).all()):
-        raise SceneError(f"{name} has an extinction or albedo that is not a finite number; correct it in the scene")
-    if (extinction < 0.0).any() or (scattering < 0.0).any():
-        raise SceneError(f"{name} has a negative extinction, albedo or scale; correct it in the scene")
-    if (scattering > extinction * (1.0 + 1e-5)).any():
-        raise SceneError(f"{name} has an albedo above 1, which would create light; lower it")
+    for key in ("sigma_t", "albedo"):
+        values = _values(medium, key)
+        if not np.isfinite(values).all():
+            raise SceneError(f"{name} has a '{key}' that is not a finite number; correct it in the scene")
+        if (values < 0.0).any():
+            raise SceneError(f"{name} has a negative '{key}' or scale; correct it in the scene")
+        if key == "albedo" and (values > 1.0 + 1e-5).any():
+            raise SceneError(f"{name} has an albedo above 1, which would create light; lower it")
+
+
+def _values(medium: mi.Medium, key: str) -> NDArray[np.floating[Any]]:
+    """All values of a volume of a medium, that of the extinction times the medium's scale."""
+    import mitsuba as mi
+
+    volume = volume_of(medium, key)
+    if volume is None:
+        return np.zeros(0)
+    values = dict(contents(volume).values)
+    grid = as_array(values["data"]) if "data" in values else np.array(volume.eval(dr.zeros(mi.MediumInteraction3f)))
+    return grid * (float(dict(contents(medium).values)["scale"]) if key == "sigma_t" else 1.0)
 
 
 def _check_values(item: mi.Object, name: str) -> None:

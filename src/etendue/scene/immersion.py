@@ -143,6 +143,8 @@ def medium_at(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool) -> mi.UInt32:
 def check_media(scene: mi.Scene, sensor: mi.Sensor) -> None:
     """Raise :class:`SceneError` if rays from the sensor, or from points that it looks through, find that media do not
     fit together: a boundary whose near side is another medium than that before it, or a medium that no shape closes."""
+    if not media_of(scene, sensor):
+        return
     u = np.random.default_rng(0).random((5, _FROM_SENSOR))
     film, rest = _points(*u[3:]), _points(*u[:2])
     ray, _ = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(0.5))

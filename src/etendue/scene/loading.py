@@ -211,6 +211,8 @@ def _from_parser(
 ) -> Problem:
     import mitsuba as mi
 
+    from .immersion import check_media
+
     with _resolving(folders), _mitsuba_errors(name):
         if change is not None:
             change(state)
@@ -248,6 +250,14 @@ def _from_parser(
         with _resolving(folders), _mitsuba_errors(name):
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
         chosen = _sensor(scene, sensor, name)
+    if check:
+        try:
+            check_media(scene, chosen)
+        except SceneError:  # as above
+            with _resolving(folders), _mitsuba_errors(name):
+                scene = instantiated(config, unmerged)
+            check_media(scene, _sensor(scene, sensor, name))
+            raise
     if not integrator and scene.integrator() is not None:
         # The type of a Python plugin is not known before it is built.
         integrator, depth, options = built_integrator(scene.integrator())
@@ -307,6 +317,8 @@ def _remedy(text: str) -> str:
 def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
     import mitsuba as mi
 
+    from .immersion import check_media
+
     if scene.variant_name() != mi.variant():
         raise SceneError(
             f"the scene was loaded under '{scene.variant_name()}' but '{mi.variant()}' is set; load it again"
@@ -317,6 +329,7 @@ def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | N
         chosen = resized_sensor(chosen, size)
     if check:
         check_scene(scene, chosen)
+        check_media(scene, chosen)
     integrator = scene.integrator()
     name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)
     remarks = remarks_on(lamps_in_surfaces(scene)) if check else ()

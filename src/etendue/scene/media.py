@@ -1,14 +1,13 @@
 """Participating media of a scene: extinction and scattering by the pointer of a medium; phase functions as materials.
 
-Only homogeneous media so far. A medium is given by its number in Dr.Jit's registry, which is the value of a pointer to
-it; 0 is no medium.
+A medium is given by its number in Dr.Jit's registry, which is the value of a pointer to it; 0 is no medium.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 import drjit as dr
 import mitsuba as mi
@@ -16,7 +15,7 @@ import numpy as np
 
 from etendue.core import Array, UnsupportedError, on_device
 
-from .graph import describe, shapes
+from .graph import contents, describe, plugin_name, shapes
 from .members import Members, bsdfs
 
 #: In place of the number of a medium that is not known.
@@ -44,14 +43,33 @@ def _media(scene: mi.Scene, sensor: mi.Sensor | None) -> Iterator[mi.Medium | No
 
 
 def coefficients(medium: mi.Medium) -> tuple[Array, Array]:
-    """(extinction, scattering) of a homogeneous medium by colour channel, per unit of length, on the host."""
+    """(extinction, scattering) of a medium by colour channel, per unit of length, on the host, at the origin."""
     scattering, _, extinction = medium.get_scattering_coefficients(dr.zeros(mi.MediumInteraction3f))
     return np.array(extinction, np.float64).ravel(), np.array(scattering, np.float64).ravel()
 
 
+def majorant(medium: mi.Medium) -> float:
+    """The largest extinction of a medium, per unit of length, on the host."""
+    return float(np.max(np.array(medium.get_majorant(dr.zeros(mi.MediumInteraction3f)))))
+
+
+def volume_of(medium: mi.Medium, name: str) -> mi.Volume | None:
+    """The volume of a medium by the name of its parameter, ``sigma_t`` or ``albedo``."""
+    return dict(contents(medium).objects).get(name)
+
+
+def is_constant(volume: mi.Volume | None) -> TypeGuard[mi.Volume]:
+    """Whether a volume has the same value everywhere."""
+    return volume is not None and plugin_name(volume) == "constvolume"
+
+
 def scatters(medium: mi.Medium) -> bool:
-    """Whether a homogeneous medium scatters light, in any colour."""
-    return bool(coefficients(medium)[1].any())
+    """Whether a medium scatters light, in any colour."""
+    albedo = volume_of(medium, "albedo")
+    if is_constant(albedo):
+        at_origin = np.array(albedo.eval(dr.zeros(mi.MediumInteraction3f)))
+        return majorant(medium) > 0.0 and bool(at_origin.any())
+    return majorant(medium) > 0.0 and (albedo is None or albedo.max() > 0.0)
 
 
 def medium_behind(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, medium: mi.UInt32) -> mi.UInt32:
@@ -74,7 +92,8 @@ class Media:
 
     Walks sample free paths in media that scatter, with the *sampled* extinction: that of the medium, by a colour
     channel. In media that only absorb it is 0: a walk crosses them, and its throughput is multiplied by their
-    transmittance.
+    transmittance. Along rays in heterogeneous media all extinctions are 0 here: their transmittance and their
+    collisions are found by null collisions (:meth:`span`, :meth:`at`).
 
     The media are not referenced, as :class:`Members` are not; their phase functions are.
 
@@ -92,21 +111,37 @@ class Media:
         rows = np.zeros((max(numbers) + 1, _COLUMNS))
         materials = np.zeros(len(rows), np.uint32)
         kept, ids = [], []
+        varying: list[int] = []
+        #: Whether a medium is heterogeneous.
+        self.heterogeneous = False
+        #: Whether the sampled extinctions do not depend on the colour; they are numbers then.
+        self.is_grey = True
+        #: The largest extinction of a medium that scatters, of a grid at the collisions in the mean, on the host.
+        self.densest = 0.0
         for number, medium in zip(numbers, found, strict=True):
-            extinction, scattering = coefficients(medium)
-            sampled = extinction if scattering.any() else 0.0 * extinction
-            rows[number] = np.concatenate([extinction, sampled, scattering])
-            if scattering.any():
+            if medium.is_homogeneous():
+                extinction, scattering = coefficients(medium)
+                if not is_constant(volume_of(medium, "albedo")):
+                    scattering = 0.0 * scattering
+                    varying.append(number)
+                grey = bool((extinction == extinction[0]).all())
+            else:
+                extinction = scattering = np.zeros(3)
+                varying.append(number)
+                self.heterogeneous, grey = True, _is_grey(volume_of(medium, "sigma_t"))
+            rows[number, :3] = extinction
+            if scatters(medium):
+                rows[number, 3:] = np.concatenate([extinction, scattering])
                 kept.append(_phase_material(mi.variant())(medium.phase_function()))
                 materials[number] = _pointer(kept[-1])
                 ids.append(int(materials[number]))
+                self.is_grey &= grey
+                self.densest = max(self.densest, _met(medium))
         #: Whether a medium scatters light.
         self.scatters = bool(kept)
-        #: Whether the sampled extinctions do not depend on the colour; they are numbers then.
-        self.is_grey = bool((rows[:, 3:6] == rows[:, 3:4]).all())
-        #: The largest extinction of a medium that scatters, on the host.
-        self.densest = float(rows[:, 3:6].max())
         self._rows, self._materials = on_device(mi.Float, rows), on_device(mi.UInt32, materials)
+        #: Media whose coefficients depend on the position.
+        self._varying = Members(mi.MediumPtr, varying, varying) if varying else None
         #: The medium that camera paths start in.
         self.of_sensor = dr.opaque(mi.UInt32, number_of(sensor.get_medium()) if sensor is not None else 0)
         #: Whether a lamp is in several media.
@@ -127,7 +162,7 @@ class Media:
         return medium == UNKNOWN
 
     def extinction(self, medium: mi.UInt32) -> mi.Color3f:
-        """Extinction, by colour channel."""
+        """Extinction of a homogeneous medium, by colour channel; 0 for others."""
         return self._colour(medium, 0)
 
     def sampled(self, medium: mi.UInt32) -> mi.Color3f | mi.Float:
@@ -138,9 +173,33 @@ class Media:
         """1, of the type of :meth:`sampled`."""
         return mi.Float(1.0) if self.is_grey else mi.Color3f(1.0)
 
-    def scattering(self, medium: mi.UInt32) -> mi.Color3f:
-        """Scattering coefficient, by colour channel."""
-        return self._colour(medium, 2)
+    def of_type(self, colour: mi.Color3f) -> mi.Color3f | mi.Float:
+        """A colour as the type of :meth:`sampled`."""
+        return colour.x if self.is_grey else colour
+
+    def at(self, medium: mi.UInt32, position: mi.Point3f, active: mi.Bool) -> tuple[mi.Color3f | mi.Float, mi.Color3f]:
+        """(extinction as :meth:`sampled`, scattering coefficient by colour channel) at a point of a medium that
+        scatters."""
+        extinction, scattering = self.sampled(medium), self._colour(medium, 2)
+        if self._varying is None:
+            return extinction, scattering
+        more = self._varying.call(medium, _at, position, active=active)
+        return extinction + self.of_type(more[0]), scattering + more[1]
+
+    def span(self, medium: mi.UInt32, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """(majorant of the extinction, first and last distance) of a ray's part in a heterogeneous medium; the majorant
+        is 0 if the medium is another one, or not met."""
+        assert self._varying is not None
+        return self._varying.call(medium, _span, ray, active=active)
+
+    def varying_extinction(self, medium: mi.UInt32, position: mi.Point3f, active: mi.Bool) -> mi.Color3f:
+        """Extinction at a point of a heterogeneous medium, by colour channel; 0 for others."""
+        assert self._varying is not None
+        return self._varying.call(medium, _at, position, active=active)[0]
+
+    def is_collided_with(self, medium: mi.UInt32) -> mi.Bool:
+        """Whether a medium scatters, so that walks collide with it."""
+        return dr.gather(mi.UInt32, self._materials, medium) != 0
 
     def material(self, medium: mi.UInt32) -> mi.BSDFPtr:
         """The phase function as a material."""
@@ -149,6 +208,42 @@ class Media:
     def _colour(self, medium: mi.UInt32, column: int) -> mi.Color3f:
         first = medium * _COLUMNS + 3 * column
         return mi.Color3f(*(dr.gather(mi.Float, self._rows, first + channel) for channel in range(3)))
+
+
+# Functions that are dispatched get the medium as an object, not as a pointer.
+
+
+def _at(medium: mi.Medium, position: mi.Point3f, active: mi.Bool) -> tuple[mi.Color3f, mi.Color3f]:
+    """(extinction if the medium is heterogeneous, else 0; scattering coefficient)."""
+    at = dr.zeros(mi.MediumInteraction3f)
+    at.p = position
+    scattering, _, extinction = medium.get_scattering_coefficients(at, active)
+    return mi.Color3f(0.0 if medium.is_homogeneous() else extinction), mi.Color3f(scattering)
+
+
+def _span(medium: mi.Medium, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
+    if medium.is_homogeneous():
+        return mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+    met, first, last = medium.intersect_aabb(ray)
+    most = dr.max(medium.get_majorant(dr.zeros(mi.MediumInteraction3f), active))
+    return dr.select(met & active, most, 0.0), dr.maximum(first, 0.0), mi.Float(last)
+
+
+def _met(medium: mi.Medium) -> float:
+    """The extinction of a medium; the mean over collisions under even light if it is a grid."""
+    data = next((v for k, v in contents(volume_of(medium, "sigma_t")).values if k == "data"), None)
+    if data is None:
+        return majorant(medium)
+    values = np.abs(np.array(data, np.float64))
+    return majorant(medium) * float((values**2).sum() / values.sum() / values.max())
+
+
+def _is_grey(volume: mi.Volume | None) -> bool:
+    """Whether a volume is known to have the same value in all colour channels."""
+    if is_constant(volume):
+        value = np.array(volume.eval(dr.zeros(mi.MediumInteraction3f))).ravel()
+        return bool((value == value[0]).all())
+    return volume is not None and volume.channel_count() == 1
 
 
 def number_of(medium: mi.Medium | None) -> int:

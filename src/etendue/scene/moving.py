@@ -101,13 +101,15 @@ def _move(state: mi.parser.ParserState, space: RenderSpace, scene: mi.Scene) -> 
         match props.plugin_name():
             case kind if kind in _SHAPES and index not in inside:
                 _move_shape(props, space)
+            case "gridvolume" | "constvolume":
+                _move_shape(props, space)
             case kind if kind in SENSORS:
                 _move_sensor(props, space)
             case "point" | "spot" | "projector" as kind:
                 _move_frame(props, space)
                 if kind == "projector":  # irradiance at the distance 1
                     _scale(props, ["scale"], square, {"scale": 1.0})
-            case "homogeneous":  # extinction per length
+            case "homogeneous" | "heterogeneous":  # extinction per length
                 _scale(props, ["scale"], 1.0 / space.scale, {"scale": 1.0})
             case "bumpmap":  # heights
                 _scale(props, ["scale"], space.scale, {"scale": 1.0})
@@ -223,6 +225,8 @@ def _fixed(built: mi.Object) -> str | None:
         surface = isinstance(item, mi.Emitter) and mi.has_flag(item.flags(), mi.EmitterFlags.Surface)
         if isinstance(item, mi.Shape) or surface:
             return describe(item, "shape" if isinstance(item, mi.Shape) else "emitter")
+        if isinstance(item, (mi.Medium, mi.Volume)) and kind != "constvolume":
+            return describe(item, "medium" if isinstance(item, mi.Medium) else "volume")
         if isinstance(item, mi.Sensor) or kind in (*_LAMPS, "projector", "bumpmap"):
             return describe(item, "sensor" if isinstance(item, mi.Sensor) else "plugin")
     return None

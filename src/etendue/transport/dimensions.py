@@ -43,6 +43,7 @@ CONNECT_MAX = 16
 # The edge that leads to vertex j >= 1, and the one that leaves vertex j >= 0, in media that scatter, of both sub-paths.
 FREE_PATH = CONNECT + CONNECT_MAX  #: 1 number: distance to a collision
 CHANNEL = FREE_PATH + 1  #: 1 number: colour channel by which distances are sampled
+NULL_COLLISIONS = FREE_PATH + 2  #: 1 number: with that of the free path, selects those of null collisions
 
 # Coordinates of Halton's sequence: small primes for film and lens, larger primes from vertex to vertex, with next event
 # before the direction. The first 46 primes (up to 199) cover 8 vertices. Other numbers are independent.

@@ -11,6 +11,9 @@ new vertex if it is in a medium, and 1 if it is on a surface, times the solid-an
 per volume in a medium, and with the cosine per area on a surface. The throughput is multiplied by :math:`T_c / W`, in a
 medium times its scattering coefficient.
 
+In heterogeneous media the transmittance is estimated by null collisions, and so is their part of P: both are a product
+over the null collisions on the edge (:mod:`.tracking`).
+
 W depends on the edge and on its end alone. The walk from the other side has the same, with the extinction at the other
 end, so that the weights of a path do not depend on the technique that samples it.
 
@@ -29,6 +32,7 @@ from etendue.core import SampleSource
 from etendue.scene import Media
 
 from . import dimensions as dim
+from .tracking import Tracked, in_channel
 
 #: Length in place of an infinite one, for the transmittance of edges that leave the scene.
 FAR = 1e30
@@ -86,12 +90,11 @@ def mean(value: mi.Color3f | mi.Float) -> mi.Float:
 
 
 def free_path(media: Media, flight: Flight, source: SampleSource, number: mi.UInt32, active: mi.Bool) -> mi.Float:
-    """Distance to the next collision along an edge that leads to vertex ``number``; infinite where nothing scatters."""
+    """Distance to the next collision along an edge that leads to vertex ``number``, in homogeneous media; infinite
+    where nothing scatters."""
     passed = flight.passed
     assert passed is not None
-    one = extinction = media.sampled(flight.medium)
-    if passed.channel is not None:
-        one = dr.select(passed.channel == 0, extinction.x, dr.select(passed.channel == 1, extinction.y, extinction.z))
+    one = in_channel(media.sampled(flight.medium), passed.channel)
     u = source.next_1d(number, dim.FREE_PATH)
     return dr.select(active & (one > 0.0), -dr.log(1.0 - u) / dr.select(one > 0.0, one, 1.0), dr.inf)
 
@@ -101,22 +104,49 @@ def draw_channel(source: SampleSource, number: mi.UInt32) -> mi.UInt32:
     return dr.minimum(mi.UInt32(source.decide(number, dim.CHANNEL) * 3.0), 2)
 
 
-def arrived(
-    media: Media, flight: Flight, distance: mi.Float, collided: mi.Bool | None
-) -> tuple[mi.Color3f, Passing | None]:
-    """(factor on the throughput, densities) of an edge that has gone on by ``distance``, to a collision or a surface.
-    The flight's ``passed`` becomes that of an edge that goes on through a null surface there."""
-    transmittance = dr.exp(-media.extinction(flight.medium) * dr.minimum(distance, FAR))
-    if flight.passed is None or collided is None:
-        return transmittance, None
-    passed, before = flight.passed, mean(flight.passed.probability)
-    sampled = media.sampled(flight.medium)
-    probability = passed.probability * dr.exp(-sampled * dr.minimum(distance, FAR))
-    end = dr.select(collided, sampled, 1.0)
-    passing = Passing.of(probability, passed.start, end)
-    # The throughput was divided by ``before`` where the edge has crossed a null surface.
-    scattering = dr.select(collided, media.scattering(flight.medium), 1.0)
-    possible = passing.to_end > 0.0
-    factor = transmittance * scattering * (before / dr.select(possible, passing.to_end, 1.0))
-    passed.probability = probability
-    return dr.select(possible, factor, 0.0), passing
+@dataclass
+class Arrival:
+    """The end of a walk's edge through media, one lane each."""
+
+    factor: mi.Color3f  #: on the throughput
+    passing: Passing | None  #: None if no medium scatters
+    extinction: mi.Color3f | mi.Float | None  #: at a collision, by channel; 1 on surfaces; None if no medium scatters
+
+    @classmethod
+    def of(
+        cls,
+        media: Media,
+        flight: Flight,
+        si: mi.SurfaceInteraction3f,
+        collided: mi.Bool | None,
+        tracked: Tracked | None,
+    ) -> Arrival:
+        """Of an edge that has gone on to ``si``, a collision or a surface. The flight's ``passed`` becomes that of an
+        edge that goes on through a null surface there. ``tracked``: null collisions on it."""
+        distance = dr.minimum(si.t, FAR)
+        transmittance = dr.exp(-media.extinction(flight.medium) * distance)
+        if tracked is not None:
+            transmittance *= tracked.passed
+        if flight.passed is None or collided is None:
+            return cls(transmittance, None, None)
+        passed, before = flight.passed, mean(flight.passed.probability)
+        probability = passed.probability * passed_by_walks(media, flight.medium, distance, tracked)
+        extinction, scattering = media.at(flight.medium, si.p, collided)
+        end = dr.select(collided, extinction, 1.0)
+        passing = Passing.of(probability, passed.start, end)
+        # The throughput was divided by ``before`` where the edge has crossed a null surface.
+        possible = passing.to_end > 0.0
+        weight = before / dr.select(possible, passing.to_end, 1.0)
+        factor = transmittance * dr.select(collided, scattering, 1.0) * weight
+        passed.probability = probability
+        return cls(dr.select(possible, factor, 0.0), passing, end)
+
+
+def passed_by_walks(
+    media: Media, medium: mi.UInt32, distance: mi.Float, tracked: Tracked | None
+) -> mi.Color3f | mi.Float:
+    """Factor on the probability P of a distance in a medium."""
+    probability = dr.exp(-media.sampled(medium) * distance)
+    if tracked is not None:
+        probability *= dr.select(media.is_collided_with(medium), media.of_type(tracked.passed), 1.0)
+    return probability

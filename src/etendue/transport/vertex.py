@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Material, Media, medium_behind
+from etendue.scene import Material, medium_behind
 
 from .flight import Passing
 from .scattering import (
@@ -48,6 +47,8 @@ class Vertex:
     si: mi.SurfaceInteraction3f  #: ``wi`` points back along the sub-path; the normal ``n`` is 0 in a medium
     bsdf: Material
     medium: mi.UInt32 | None = None  #: the medium on the side of ``wi``; None in scenes without media
+    #: Extinction with which walks find the vertex, by channel, 1 on surfaces; None if no medium scatters.
+    extinction: mi.Color3f | mi.Float | None = None
 
     @property
     def position(self) -> mi.Point3f:
@@ -71,12 +72,6 @@ class Vertex:
     def cosine_ratio(self, direction: mi.Vector3f) -> mi.Float:
         """See :func:`.scattering.cosine_ratio`."""
         return cosine_ratio(self.si, direction, self.bsdf.in_medium)
-
-    def extinction(self, media: Media) -> mi.Color3f | mi.Float | None:
-        """Extinction with which walks find the vertex, by channel, 1 on surfaces; None if no medium scatters."""
-        if self.medium is None or self.bsdf.in_medium is None:
-            return None
-        return dr.select(self.bsdf.in_medium, media.sampled(self.medium), 1.0)
 
     def medium_towards(self, direction: mi.Vector3f) -> mi.UInt32 | None:
         """The medium into which a world direction leads."""

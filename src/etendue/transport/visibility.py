@@ -20,7 +20,8 @@ import numpy as np
 
 from etendue.scene import Material, Media, bsdfs, graph, materials, media_in, medium_at, medium_behind
 
-from .flight import FAR
+from .flight import FAR, passed_by_walks
+from .tracking import keys_of_ray, track
 
 
 @dataclass
@@ -79,7 +80,7 @@ class Visibility:
             visible = active & ~self.scene.ray_test(ray, active)
             if self.media is None or medium is None:
                 return Sight(visible)
-            return Sight(visible, *self._through(self.media, medium, ray.maxt))
+            return Sight(visible, *self._through(self.media, medium, ray, ray.maxt, visible))
         transmittance = mi.Color3f(1.0)
         if self._opaque is not None:
             blocked = self._opaque.ray_test(ray, active)
@@ -100,7 +101,7 @@ class Visibility:
             ray = mi.Ray3f(o, d, maxt, time, wavelengths)
             hit = self.scene.ray_intersect_preliminary(ray, active=active)
             if self.media is not None and medium is not None:
-                through, passes = self._through(self.media, medium, dr.minimum(hit.t, ray.maxt))
+                through, passes = self._through(self.media, medium, ray, dr.minimum(hit.t, ray.maxt), active)
                 transmittance = dr.select(active, transmittance * through, transmittance)
                 if passing is not None:
                     passing = dr.select(active, passing * passes, passing)
@@ -155,13 +156,16 @@ class Visibility:
 
     @staticmethod
     def _through(
-        media: Media, medium: mi.UInt32, distance: mi.Float
+        media: Media, medium: mi.UInt32, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool
     ) -> tuple[mi.Color3f, mi.Color3f | mi.Float | None]:
-        """(transmittance, :attr:`Sight.passing`) of a distance in a medium."""
-        extinction = media.extinction(medium)
+        """(transmittance, :attr:`Sight.passing`) of a distance along a ray in a medium."""
+        tracked = track(media, medium, ray, distance, keys_of_ray(ray), active) if media.heterogeneous else None
         distance = dr.minimum(distance, FAR)
-        passing = dr.exp(-media.sampled(medium) * distance) if media.scatters else None
-        return dr.exp(-extinction * distance), passing
+        transmittance = dr.exp(-media.extinction(medium) * distance)
+        if tracked is not None:
+            transmittance *= tracked.passed
+        passing = passed_by_walks(media, medium, distance, tracked) if media.scatters else None
+        return transmittance, passing
 
 
 def _passes(bsdf: mi.BSDF) -> bool:

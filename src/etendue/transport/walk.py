@@ -27,12 +27,13 @@ from . import dimensions as dim
 from .direct import DirectWeights
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .firsthits import FirstHits
-from .flight import Flight, arrived, draw_channel, free_path, mean
+from .flight import Arrival, Flight, draw_channel, free_path, mean
 from .guiding.departure import Departures
 from .guiding.lights import LocalLights
 from .loop import loop_traced_once
 from .rays import Edge, WalkRecorder
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
+from .tracking import Tracked, keys_of_ray, keys_of_walk, track
 from .vertex import WalkVertex
 from .visibility import Sight, Visibility
 
@@ -195,23 +196,30 @@ class Walker:
             ray = mi.Ray3f(ray)
             ray.maxt = dr.minimum(ray.maxt, free)
         hit = self.visibility.scene.ray_intersect_preliminary(ray, active=s.active)
+        tracked = self._tracked(s, source, hit.t)
+        if tracked is not None and free is not None:
+            hit.t = dr.select(tracked.collision < dr.inf, dr.inf, hit.t)
+            free = dr.minimum(free, tracked.collision)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
         if self.footprint is not None:
             set_footprint(si, s.ray.d, dr.select(s.depth == 1, self.footprint(si.p), 0.0))
-        bsdf, medium, passing = self.visibility.material(si, s.ray), None, None
+        bsdf, medium = self.visibility.material(si, s.ray), None
+        passing = extinction = None
         if s.flight is not None and self.visibility.media is not None:
             media, medium = self.visibility.media, s.flight.medium
             if free is not None:
                 bsdf.in_medium = s.active & ~si.is_valid() & (free < dr.inf)
                 _collide(si, s.ray, free, bsdf.in_medium)
                 bsdf.pointer = dr.select(bsdf.in_medium, media.material(medium), bsdf.pointer)
-            factor, passing = arrived(media, s.flight, si.t, bsdf.in_medium)
-            s.throughput = s.throughput * factor
+            arrival = Arrival.of(media, s.flight, si, bsdf.in_medium, tracked)
+            s.throughput = s.throughput * arrival.factor
+            passing, extinction = arrival.passing, arrival.extinction
         vertex = WalkVertex(
             si=si,
             bsdf=bsdf,
             medium=medium,
+            extinction=extinction,
             number=_number(s),
             depth=mi.UInt32(s.depth),
             hit=hit,
@@ -232,7 +240,7 @@ class Walker:
         return None if media is None or medium is None else Flight.begin(media, medium)
 
     def _free_path(self, s: SubPath, source: SampleSource | None) -> mi.Float | None:
-        """Distance to the next collision with a medium; None if no medium scatters."""
+        """Distance to the next collision with a homogeneous medium; None if no medium scatters."""
         if s.flight is None or s.flight.passed is None or self.visibility.media is None:
             return None
         if source is None:
@@ -241,6 +249,17 @@ class Walker:
         if passed.channel is not None:
             passed.channel = dr.select(first, draw_channel(source, mi.UInt32(0)), passed.channel)
         return free_path(self.visibility.media, s.flight, source, _number(s), s.active)
+
+    def _tracked(self, s: SubPath, source: SampleSource | None, end: mi.Float) -> Tracked | None:
+        """Null collisions up to the distance ``end``, and the collision; None if no medium is heterogeneous."""
+        media = self.visibility.media
+        if s.flight is None or media is None or not media.heterogeneous:
+            return None
+        medium, passed = s.flight.medium, s.flight.passed
+        if passed is None or source is None:
+            return track(media, medium, s.ray, end, keys_of_ray(s.ray), s.active)
+        keys = keys_of_walk(source, _number(s))
+        return track(media, medium, s.ray, end, keys, s.active, media.is_collided_with(medium), passed.channel)
 
     def goes_on(self, s: SubPath, vertex: WalkVertex) -> mi.Bool:
         """Whether a path may have an edge after a vertex; it may always cross a null surface that bounds a medium."""
@@ -378,7 +397,7 @@ class Walker:
         if self.visibility.transparent:
             flight.crossed = flight.crossed + crosses
         if passed is not None:
-            start = vertex.extinction(media)
+            start = vertex.extinction
             passed.probability = self.keep_if_null(scattered, passed.probability, media.one())
             passed.start = self.keep_if_null(scattered, passed.start, media.one() if start is None else start)
             if passed.channel is not None:

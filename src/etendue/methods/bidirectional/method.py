@@ -433,5 +433,5 @@ class Bidirectional(Carrying, ImageMethod):
         grid = HashGrid(positions, max(reach), *self._box, held)
         factors = [dr.opaque(mi.Float, 1.0 / (np.pi * radius**2 * depth * paths)) for radius in discs]
         limits = [dr.opaque(mi.Float, radius**2) for radius in reach]
-        photons = vertices.sorted_by(grid.destination, held)
-        return Gather(grid, photons, factors, limits, self.visibility.media if in_media else None)
+        photons = vertices.sorted_by(grid.destination, held, self.visibility.media if in_media else None)
+        return Gather(grid, photons, factors, limits, in_media)

@@ -133,13 +133,13 @@ def reflected_by(
     kernel: str,
     active: mi.Bool,
     peaks: Peaks | None = None,
-    media: Media | None = None,
+    in_media: bool = False,
 ) -> mi.Color3f:
     """Contribution of one photon to the reflected radiance, times ``N pi r^2``; ``limit``: r^2; ``peaks``: leaves out
-    what camera paths find; None: all light. ``media``: of photons in media, whose contribution is times ``N 4/3 pi
-    r^3``."""
+    what camera paths find; None: all light. ``in_media``: photons are in media, and their contribution is
+    times ``N 4/3 pi r^3``."""
     p = photons.read(photon, active)
-    distance_squared, weight = weigh(vertex, photons.position(photon, active)[0], p, media)
+    distance_squared, weight = weigh(vertex, photons.position(photon, active)[0], p, in_media)
     if kernel != "uniform":
         weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
     si = vertex.si
@@ -213,7 +213,8 @@ class PhotonGrid:
     ) -> None:
         kernel = kernel if media is None else "uniform"
         grid = HashGrid(positions, radius, *box, held)
-        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), (), media)
+        photons = shot.vertices.sorted_by(grid.destination, held, media)
+        self._gather = Gather(grid, photons, (), (), media is not None)
         self._paths = dr.opaque(mi.Float, shot.paths)
         self._kernel, self._by_kind, self._peaks, self._recorder = kernel, by_kind, peaks, recorder
 
@@ -222,16 +223,16 @@ class PhotonGrid:
     ) -> tuple[list[mi.Color3f], mi.UInt32]:
         """(reflected radiance at a vertex, or with ``by_kind`` that of each of ``film.REFLECTED``; number of photons
         that contribute to it), from the photons with a depth of at most ``edges`` within a squared radius ``limit``."""
-        photons = self._gather.photons
+        photons, in_media = self._gather.photons, self._gather.in_media
 
         def visit(photon: mi.UInt32, state: tuple[list[mi.Color3f], mi.UInt32]) -> tuple[list[mi.Color3f], mi.UInt32]:
             flux, found = state
-            value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks, self._gather.media)
+            value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks, in_media)
             record_merge(self._recorder, vertex, photons, photon, value, active)
             found = found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
             return add_by_kind(flux, value, photons, photon, active), found
 
         start = no_light(self._by_kind), mi.UInt32(0)
         flux, found = self._gather.around(vertex.position, edges, visit, start, active, limit)
-        size = dr.pi * limit if self._gather.media is None else 4.0 / 3.0 * dr.pi * limit * dr.sqrt(limit)
+        size = dr.pi * limit * (4.0 / 3.0 * dr.sqrt(limit) if in_media else 1.0)
         return [part / (size * self._paths) for part in flux], found

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Members
 
 from .. import dimensions as dim
 from ..guiding.connections import ConnectionGuide
+from ..visibility import Visibility
 from .vertices import LightVertex, LightVertices
 
 #: Lanes that share a random number for picking light vertices, a power of two.
@@ -55,10 +55,10 @@ class LightCache:
         index: int,
         place: mi.UInt32 | None,
         active: mi.Bool,
-        bsdfs: Members,
+        visibility: Visibility,
     ) -> tuple[LightVertex, mi.Bool, Pick | None]:
         """Draw the light vertex of connection ``index`` of camera vertices at ``depth``, of the class ``place``;
-        ``bsdfs``: those of the scene. (vertex, whether there is one, how it was chosen by classes)."""
+        ``visibility``: that of the scene. (vertex, whether there is one, how it was chosen by classes)."""
         assert self.picks is not None
         begin, size = mi.UInt32(0), self.count
         if self.choice is not None and place is not None:
@@ -72,7 +72,7 @@ class LightCache:
         offset = dr.select(size >= PICK_BLOCK, lane % PICK_BLOCK, 0)
         number = mi.UInt32(self.picks.next_1d(depth, dim.CONNECT + index) * mi.Float(size)) + offset
         number = begin + dr.select(number < size, number, number - size)
-        light = self.vertices.read(self.vertices.slot(number, active), active, bsdfs)
+        light = self.vertices.read(self.vertices.slot(number, active), active, visibility)
         if self.choice is None or place is None:
             return light, active, None
         share, ratio = self.choice.pair(place, light.place, active)

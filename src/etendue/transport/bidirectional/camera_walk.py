@@ -234,7 +234,7 @@ class CameraWalk(BidirectionalWalk):
         if self.cache is None or self.cache.picks is None:
             return []
         picked = [
-            self.cache.draw(s.lane, s.depth, index, place, active, self.visibility.bsdfs)
+            self.cache.draw(s.lane, s.depth, index, place, active, self.visibility)
             for index in range(self.mis.techniques.connection)
         ]
         return [self._join(s, vertex, light, drawn, pick) for light, drawn, pick in picked]
@@ -250,9 +250,8 @@ class CameraWalk(BidirectionalWalk):
         def connect(
             j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32
         ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
-            joined = self._join(
-                s, vertex, stored.read(stored.slot(first + j, active), active, self.visibility.bsdfs), active
-            )
+            light = stored.read(stored.slot(first + j, active), active, self.visibility)
+            joined = self._join(s, vertex, light, active)
             f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
             values, _, ray = self._connection(s, vertex, joined, f, u, share)
@@ -333,7 +332,7 @@ class CameraWalk(BidirectionalWalk):
         parts, photons = 1 if s.seen is None else len(REFLECTED), gather.photons
         area = share
         if vertex.bsdf.in_medium is not None:
-            area = None if gather.media or not self.places else self.places.share(vertex.position)
+            area = None if gather.in_media or not self.places else self.places.share(vertex.position)
         squares, factors = gather.at(area)
 
         def visit(
@@ -372,7 +371,7 @@ class CameraWalk(BidirectionalWalk):
         p, position = photons.read(photon, active), photons.position(photon, active)[0]
         f = vertex.evaluate(p.direction, active)
         weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
-        distance_squared, weight = weigh_photon(vertex, position, p, gather.media)
+        distance_squared, weight = weigh_photon(vertex, position, p, gather.in_media)
         value = p.fluence * f.value * weight
         inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:

@@ -25,8 +25,8 @@ import mitsuba as mi
 
 from etendue.density import HashGrid
 from etendue.film import Component
-from etendue.scene import Media
 
+from ..flight import mean
 from ..packing import unpacked_direction, unpacked_normal
 from ..vertex import WalkVertex
 from .linear import Carried, Linear
@@ -41,10 +41,11 @@ _LEAST_OPENING = 0.5
 class Photon:
     """Photons read back, one lane each."""
 
-    fluence: mi.Color3f  #: flux over the geometric cosine at which it arrived
+    fluence: mi.Color3f  #: flux over the geometric cosine at which it arrived, or over the scattering coefficient
     direction: mi.Vector3f  #: world, towards the light side
     normal: mi.Vector3f  #: of its surface, on the side of ``direction``
     medium: mi.UInt32  #: of a photon in a medium
+    extinction: mi.Float | None  #: mean over the channels, in media; None unless one is heterogeneous
     d_vcm: mi.Float | Linear
     d_vc: mi.Float | Linear
 
@@ -59,6 +60,7 @@ class Photons:
     _more: mi.Float | None  #: further coefficients of d_vcm and d_vc
     _depth_bits: int  #: bits of a tag that hold the depth; if fewer than 16, the next four hold the vertex number
     _owners: mi.UInt32 | None = None  #: number of the light path of each
+    _extinction: mi.Float | None = None
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -89,6 +91,7 @@ class Photons:
             direction=unpacked_direction(d.x, d.y),
             normal=unpacked_normal(d.z),
             medium=dr.reinterpret_array(mi.UInt32, d.z),
+            extinction=None if self._extinction is None else dr.gather(mi.Float, self._extinction, index, active),
             d_vcm=d_vcm,
             d_vc=d_vc,
         )
@@ -104,16 +107,18 @@ def weighting(
     return Linear(m.x, d_vcm, zero), Linear(d_vc, m.y, m.z)
 
 
-def weigh(
-    vertex: WalkVertex, position: mi.Point3f, photon: Photon, media: Media | None
-) -> tuple[mi.Float, mi.Float | mi.Color3f]:
-    """(squared distance of a photon, its weight), on surfaces by :func:`unfolded`. In ``media`` the collisions of
-    photons divided by the scattering coefficient, by which their throughput was multiplied, estimate the fluence;
-    photons of another medium have a weight of 0."""
-    if media is None or vertex.medium is None:
+def weigh(vertex: WalkVertex, position: mi.Point3f, photon: Photon, in_media: bool) -> tuple[mi.Float, mi.Float]:
+    """(squared distance of a photon, its weight), on surfaces by :func:`unfolded`; ``in_media``, photons of another
+    medium have a weight of 0.
+
+    Where the extinction varies, the photons' fluence samples the radiance around the vertex with an unbounded variance
+    if divided by the extinction at the photon, and so does the flux if divided by that at the vertex. The mean of both
+    is bounded, and of second order in the radius, too."""
+    if not in_media:
         return unfolded(vertex.si, position, photon)
-    scattering = media.scattering(vertex.medium)
-    weight = dr.select((photon.medium == vertex.medium) & (scattering > 0.0), dr.rcp(scattering), 0.0)
+    weight = dr.select(photon.medium == vertex.medium, mi.Float(1.0), 0.0)
+    if photon.extinction is not None and vertex.extinction is not None:
+        weight *= 2.0 * photon.extinction / (photon.extinction + mean(vertex.extinction))
     return dr.squared_norm(position - vertex.position), weight
 
 
@@ -167,7 +172,7 @@ class Gather:
     photons: Photons
     factors: Sequence[mi.Float]
     squares: Sequence[mi.Float]
-    media: Media | None = None  #: the scene's, if the vertices are in media
+    in_media: bool = False  #: whether the vertices are in media
 
     def at(self, share: mi.Float | None) -> tuple[Sequence[mi.Float], Sequence[mi.Float]]:
         """(``squares``, ``factors``) where the discs have a ``share`` of their largest area; None: all of it."""

@@ -15,11 +15,13 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.film import Component
-from etendue.scene import Material, Members, materials
+from etendue.scene import Material, Media, materials
 
+from ..flight import mean
 from ..packing import packed_direction, packed_normal, unpacked_direction
 from ..scattering import Evaluated, evaluate_light_end
 from ..vertex import Vertex, WalkVertex
+from ..visibility import Visibility
 from .linear import Carried, Linear
 from .photons import (
     Photons,
@@ -276,17 +278,18 @@ class LightVertices:
         """(first number, count) of a path's vertices."""
         return dr.gather(mi.UInt32, self._start, path, active), dr.gather(mi.UInt32, self._stored, path, active)
 
-    def read(self, slot: mi.UInt32, active: mi.Bool, bsdfs: Members) -> LightVertex:
-        """Read whole vertices. ``bsdfs``: those of the scene."""
+    def read(self, slot: mi.UInt32, active: mi.Bool, visibility: Visibility) -> LightVertex:
+        """Read whole vertices. ``visibility``: that of the scene."""
         position, throughput, direction, first, second, owner = (self._get(i, slot, active) for i in range(_PACKETS))
-        bsdf = Material(dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x)), bsdfs)
+        bsdf = Material(dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x)), visibility.bsdfs)
         world = unpacked_direction(direction.x, direction.y)
         d_vcm, d_vc = weighting(throughput.w, direction.w, self._more, slot, active)
-        p, medium = mi.Point3f(position.x, position.y, position.z), None
-        if self.volumes:
+        p, medium, extinction = mi.Point3f(position.x, position.y, position.z), None, None
+        if self.volumes and visibility.media is not None:
             flag, medium = (second.z, second.z) if self.indexed else (dr.squared_norm(second.xyz), first.w)
             bsdf.in_medium = active & ((_as_uint(flag) != 0) == self.indexed)
             medium = dr.select(bsdf.in_medium, _as_uint(medium), 0)
+            extinction = dr.select(bsdf.in_medium, visibility.media.at(medium, p, bsdf.in_medium)[0], 1.0)
         si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
         if self.indexed and bsdf.in_medium is not None:
             si = dr.select(bsdf.in_medium, _framed(p, mi.Vector4f(0.0, 0.0, 1.0, 0.0), mi.Vector4f(0.0)), si)
@@ -295,6 +298,7 @@ class LightVertices:
             si=si,
             bsdf=bsdf,
             medium=medium,
+            extinction=extinction,
             direction=world,
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
             d_vcm=d_vcm,
@@ -329,8 +333,9 @@ class LightVertices:
             held &= ((_as_uint(p.w) >> 16) & _IN_MEDIUM != 0) == in_media
         return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) >> 30, held
 
-    def sorted_by(self, destination: mi.UInt32, active: mi.Bool | bool = True) -> Photons:
-        """The data for merging, copied to the order of a search structure: slot i to ``destination[i]``."""
+    def sorted_by(self, destination: mi.UInt32, active: mi.Bool | bool = True, media: Media | None = None) -> Photons:
+        """The data for merging, copied to the order of a search structure: slot i to ``destination[i]``. ``media``: of
+        the scene, if the vertices are in media."""
         slot = dr.arange(mi.UInt32, self.capacity)
         held = (slot < self.count) & active
         position = dr.empty(mi.Float, 4 * self.capacity)
@@ -340,6 +345,16 @@ class LightVertices:
         if self.connected:
             fluence = self._get(_PACKETS - 1, slot, held).z
             first = mi.Vector4f(first.x * fluence, first.y * fluence, first.z * fluence, first.w)
+        extinction = None
+        if media is not None:
+            # Collisions over the scattering coefficient, by which the throughput was multiplied, are fluence.
+            p, medium = self._get(0, slot, held), _as_uint(self._get(2, slot, held).z)
+            sampled, scattering = media.at(medium, mi.Point3f(p.x, p.y, p.z), held)
+            if media.heterogeneous:
+                extinction = dr.empty(mi.Float, self.capacity)
+                dr.scatter(extinction, mean(sampled), destination, held)
+            fluence = dr.select(scattering > 0.0, mi.Color3f(first.x, first.y, first.z) / scattering, 0.0)
+            first = mi.Vector4f(*fluence, first.w)
         dr.scatter(flux, first, 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
         more = None
@@ -350,8 +365,8 @@ class LightVertices:
         if self._owners is not None:
             owners = dr.empty(mi.UInt32, self.capacity)
             dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
-        dr.eval(position, flux, more, owners)
-        return Photons(position, flux, more, self._depth_bits, owners)
+        dr.eval(position, flux, more, owners, extinction)
+        return Photons(position, flux, more, self._depth_bits, owners, extinction)
 
 
 def _medium(vertex: WalkVertex) -> mi.UInt32:

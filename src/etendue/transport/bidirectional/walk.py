@@ -9,7 +9,6 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Media
 
 from ..camera import CameraSampler
 from ..flight import Passing
@@ -98,16 +97,15 @@ class BidirectionalWalk(Walker):
         threshold: mi.Float,
         u: mi.Float,
         active: mi.Bool,
-        end: Callable[[Media], mi.Color3f | mi.Float | None] = lambda _: None,
+        end: mi.Color3f | mi.Float | None = None,
     ) -> Connected:
         """Connect a vertex to ``target`` by an untraced edge.
 
         edges: length of the path. weigh: (weights; contributions, one per radius, without visibility) for the
         densities of the edge in media, which depend on its shadow ray. alone: the contribution without a weight.
         Roulette by ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever
-        ``alone`` is not zero. end: extinction at ``target`` (see :meth:`Vertex.extinction`).
+        ``alone`` is not zero. end: extinction at ``target`` (see :attr:`Vertex.extinction`).
         """
-        media = self.visibility.media
         if not self.visibility.volumes:
             weights, values = weigh(None)
             survives, factor = shadow_roulette(values, threshold, u, active)
@@ -115,8 +113,8 @@ class BidirectionalWalk(Walker):
             survives, factor = shadow_roulette([alone], threshold, u, active)
         tested = survives if self.pyramid is None else active & ~dr.all(alone == 0.0)
         sight = self.sight(vertex, target, edges, tested)
-        if media is not None and sight.passing is not None:
-            weights, values = weigh(Passing.of(sight.passing, vertex.extinction(media), end(media)))
+        if sight.passing is not None:
+            weights, values = weigh(Passing.of(sight.passing, vertex.extinction, end))
         weighted = [value * (factor * sight.transmittance) for value in values]
         active = sight.visible if self.pyramid is None else sight.visible & survives
         contribution = Contribution(weighted, alone * sight.transmittance, active, sight.visible)
