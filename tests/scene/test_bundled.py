@@ -138,7 +138,7 @@ def has_chains(method):
 
 #: Where few of many paths find light, or scenes are large: the bootstrap of chains takes up to half a minute.
 SLOW_STARTS = {"gaps", "flat", "six-cubes"}
-MEDIA = ("fog", "aquarium")
+MEDIA = ("fog", "aquarium", "smoke")
 ROWS = [
     row
     for row in crossed(FAST_SCENES, methods.table(), 6)

@@ -8,6 +8,7 @@ import os
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.media import closed, clouds, smoke
 
 from etendue.core import SceneError
 from etendue.scene import PortableScene, load, portable, restored
@@ -98,6 +99,13 @@ def test_a_dictionary_with_arrays_transforms_and_files(tmp_path):
     copy, sent = moved(scene, tmp_path / "there")
     assert copy.fingerprint == load(scene).fingerprint
     assert list(sent.files.values()) == [image]
+
+
+def test_a_grid_in_memory(tmp_path):
+    scene = closed(smoke(clouds(3)))
+    copy, _ = moved(scene, tmp_path)
+    assert copy.fingerprint == load(scene).fingerprint
+    assert copy.fingerprint != load(closed(smoke(clouds(3, seed=1)))).fingerprint
 
 
 def test_bundled_scenes_are_sent_by_name(tmp_path):

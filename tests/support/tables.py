@@ -10,7 +10,7 @@ import pytest
 from etendue.scene import bundled
 
 #: Bundled scenes of fast tests: those of the library's own, and two of the theses'.
-FAST_SCENES = (*list(bundled())[: list(bundled()).index("aquarium") + 1], "glass-of-water", "six-cubes")
+FAST_SCENES = (*list(bundled())[: list(bundled()).index("smoke") + 1], "glass-of-water", "six-cubes")
 
 
 def thinned(rows: Iterable[Any], fast: Sequence[Any]) -> list[Any]:

@@ -103,8 +103,8 @@ def scene_xml(
 ) -> str:
     """The XML of a scene after a ``change``, with a film of ``size`` if that is given; file names in it are absolute.
 
-    Objects in memory, meshes of bundled scenes (:class:`MeshDescription`) and bitmaps, are written to ``folder``, which
-    is created if needed. Raises :class:`SceneError` for a loaded scene, for other objects in memory, for any objects in
+    Objects in memory, meshes of bundled scenes (:class:`MeshDescription`), bitmaps and grids, are written to
+    ``folder``, which is created if needed. Raises :class:`SceneError` for a loaded scene, for other objects in memory, for any objects in
     memory without a ``folder``, and for a scene that cannot be parsed; :class:`OutputError` if a file cannot be
     written.
     """
@@ -117,7 +117,7 @@ def scene_xml(
         resize(state, size)
     with _resolving(folders):
         _name_absolutely(state)
-        writing |= _without_bitmaps(state, folder)
+        writing |= _without_arrays(state, folder)
         matrices = _without_scales(state)
         try:
             text = _with_names(str(mi.parser.write_string(state)), state)
@@ -173,8 +173,8 @@ def _with_names(text: str, state: mi.parser.ParserState) -> str:
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writing:
-    """Replace bitmaps in memory by files in ``folder``; returns the functions that write the files."""
+def _without_arrays(state: mi.parser.ParserState, folder: Path | None) -> _Writing:
+    """Replace bitmaps and grids in memory by files in ``folder``; returns the functions that write the files."""
     import mitsuba as mi
 
     writing: _Writing = {}
@@ -190,6 +190,12 @@ def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writ
                 writing[file] = partial(_write_bitmap, value, is_raw)
                 del node.props[key]
                 node.props["filename"] = str(file)
+            elif isinstance(value, mi.VolumeGrid) and key == "grid":
+                kind = node.props.plugin_name()
+                file = _in(folder, f"{_id(node.props) or kind}-{number}.vol", f"a grid of '{kind}'")
+                writing[file] = partial(_write_grid, value)
+                del node.props[key]
+                node.props["filename"] = str(file)
             elif isinstance(value, mi.Object):
                 what = f"'{_id(node.props) or node.props.plugin_name()}' has '{key}'"
                 raise SceneError(
@@ -197,6 +203,10 @@ def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writ
                     "it by a dictionary"
                 )
     return writing
+
+
+def _write_grid(grid: mi.VolumeGrid, path: Path) -> None:
+    grid.write(str(path))
 
 
 def _write_bitmap(bitmap: mi.Bitmap, is_raw: bool, path: Path) -> None:

@@ -180,6 +180,11 @@ def _encoded(value: Any, result: PortableScene, where: str) -> Any:
     if isinstance(value, mi.Bitmap):
         kept = {"pixel_format": value.pixel_format().name, "srgb_gamma": bool(value.srgb_gamma())}
         return {_KIND: "Bitmap", "array": array(value), **kept}
+    if isinstance(value, mi.VolumeGrid):
+        stream = mi.MemoryStream()
+        value.write(stream)
+        stream.seek(0)
+        return {_KIND: "VolumeGrid", "array": array(np.frombuffer(stream.read(stream.size()), np.uint8))}
     if "Transform" in name and hasattr(value, "matrix"):
         kind = name if name.startswith("Scalar") else f"Scalar{name}"
         both = np.stack([np.array(value.matrix), np.array(value.inverse_transpose)])  # each has its own rounding
@@ -215,6 +220,11 @@ def _decoded(value: Any, arrays: Mapping[str, NDArray[Any]], moved: Mapping[str,
         bitmap = mi.Bitmap(array, getattr(mi.Bitmap.PixelFormat, value["pixel_format"]))
         bitmap.set_srgb_gamma(value["srgb_gamma"])
         return bitmap
+    if kind == "VolumeGrid":
+        stream = mi.MemoryStream()
+        stream.write(array.tobytes())
+        stream.seek(0)
+        return mi.VolumeGrid(stream)
     make: Any = getattr(mi, kind)
     if "Transform" in kind:
         matrix = type(make().matrix)

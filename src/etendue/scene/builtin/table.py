@@ -18,7 +18,7 @@ from .gaps import gaps
 from .pieces import camera, diffuse, rgb, sky
 from .shutters import shutters
 from .street import street
-from .volumes import aquarium, fog
+from .volumes import aquarium, fog, smoke
 from .yard import yard
 
 if TYPE_CHECKING:
@@ -75,6 +75,7 @@ def bundled() -> dict[str, BundledScene]:
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
         ("fog", "a spot light in a foggy room: a glass ball focuses its beam in the air", fog),
         ("aquarium", "a tank of green water under the sun, whose waves focus sunlight into beams", aquarium),
+        ("smoke", "smoke above a bulb of clear glass, whose light is focused on smoke and walls", smoke),
         *theses.SCENES,
     )
     scenes = {name: BundledScene(name, text, describe) for name, text, describe in rows}

@@ -1,4 +1,4 @@
-"""Scenes of participating media: a spot light through fog and a glass ball, and sunlight in water."""
+"""Scenes of participating media: a spot light through fog and a glass ball, sunlight in water, smoke over a bulb."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ _ROOM = ((-2.2, 2.2), (0.0, 2.8), (-2.2, 3.4))
 _SPOT, _BALL, _RADIUS = (-1.55, 2.55, -0.5), (0.1, 1.15, -0.2), 0.36
 #: The tank of ``aquarium``: half its width, its depth from front to back, and the level of the water.
 _WIDTH, _DEPTH, _LEVEL = 1.6, 1.8, 1.7
+#: Centre and radius of the bulb of ``smoke``; ranges of x, y and z of the smoke, and its points per unit of length.
+_BULB, _GLASS = (0.0, 0.55, 0.0), 0.3
+_PLUME, _FINENESS = ((-0.8, 0.8), (0.9, 2.75), (-0.8, 0.8)), 40
 
 
 def fog() -> dict[str, Any]:
@@ -117,4 +120,78 @@ def aquarium() -> dict[str, Any]:
         "ball": {"type": "sphere", "center": [-0.55, 0.42, 0.1], "radius": 0.4, "bsdf": matt(0.75, 0.30, 0.16)},
         "stone": MeshDescription("stone", stone + np.array([0.15, 0.01, 0.35]), facets, matt(0.5, 0.5, 0.46)),
         **bubbles,
+    }
+
+
+def _plume() -> Points:
+    """Density of smoke that rises and widens, (z, y, x, 1): a cone of a noise whose spectrum falls with the frequency,
+    around a centre that sways."""
+    x, y, z = (np.linspace(low, high, round(_FINENESS * (high - low))) for low, high in _PLUME)
+    z, y, x = np.meshgrid(z, (y - y[0]) / (y[-1] - y[0]), x, indexing="ij")
+    frequencies = np.meshgrid(*(_FINENESS * np.fft.fftfreq(n) for n in x.shape), indexing="ij")
+    across = np.sqrt(frequencies[0] ** 2 + 0.3 * frequencies[1] ** 2 + frequencies[2] ** 2)
+    white = np.fft.fftn(np.random.default_rng(3).standard_normal(x.shape))
+    noise = np.real(np.fft.ifftn(white / (1.0 + across) ** 2.0))
+    noise /= noise.std()
+    sway = 0.16 * y * np.sin(5.0 * y + 0.6), 0.14 * y * np.sin(4.0 * y + 2.2)
+    radius = np.hypot(x - sway[0], z - sway[1]) / (0.07 + 0.33 * y)
+    density = np.exp(-(radius**2)) * (0.6 + 0.6 * noise) - 0.1
+    # Nothing at the faces of the grid, so that they are not seen.
+    inside = np.minimum(1.0, 12.0 * np.minimum(y, 1.0 - y)) * (np.maximum(np.abs(x), np.abs(z)) < 0.78)
+    return (np.clip(density, 0.0, 1.5) * inside)[..., None]
+
+
+def smoke() -> dict[str, Any]:
+    """Smoke above a bulb of clear glass, the only lamp: its light reaches the smoke and the walls through the glass.
+    512x384."""
+    import mitsuba as mi
+
+    low, high = np.array(_PLUME).T
+    place = mi.ScalarTransform4f().translate(list(low)).scale(list(high - low))
+    box = mi.ScalarTransform4f().translate(list(0.5 * (low + high))).scale(list(0.5 * (high - low)))
+    sides = walls((-1.9, 1.9), (0.0, 3.0), (-1.6, 3.6), matt(0.17, 0.15, 0.13), back=matt(0.07, 0.09, 0.13))
+    return {
+        "type": "scene",
+        "integrator": {"type": "vcm", "max_depth": 24},
+        "plume": {
+            "type": "heterogeneous",
+            "sigma_t": {"type": "gridvolume", "grid": mi.VolumeGrid(_plume().astype(np.float32)), "to_world": place},
+            "scale": 14.0,
+            "albedo": rgb(0.93, 0.93, 0.95),
+            "phase": {"type": "hg", "g": 0.4},
+        },
+        "sensor": camera((0.0, 1.35, 3.3), (0.0, 1.32, 0.0), 48.0, (512, 384)),
+        **sides,
+        "table": {
+            "type": "cube",
+            "to_world": mi.ScalarTransform4f().translate([0, 0.09, 0]).scale([0.8, 0.09, 0.5]),
+            "bsdf": matt(0.42, 0.27, 0.17),
+        },
+        "socket": {
+            "type": "cylinder",
+            "p0": [0, 0.18, 0],
+            "p1": [0, 0.28, 0],
+            "radius": 0.13,
+            "bsdf": {"type": "twosided", "bsdf": matt(0.25, 0.25, 0.25)},
+        },
+        "filament": {
+            "type": "sphere",
+            "center": list(_BULB),
+            "radius": 0.035,
+            "bsdf": matt(0.0, 0.0, 0.0),
+            "emitter": {"type": "area", "radiance": rgb(2200.0, 1650.0, 1000.0)},
+        },
+        "glass": {"type": "sphere", "center": list(_BULB), "radius": _GLASS, "bsdf": glass()},
+        "hollow": {
+            "type": "sphere",
+            "center": list(_BULB),
+            "radius": 0.93 * _GLASS,
+            "bsdf": glass(1.0, outside=1.5),
+        },
+        "boundary": {
+            "type": "cube",
+            "to_world": box,
+            "bsdf": {"type": "null"},
+            "interior": {"type": "ref", "id": "plume"},
+        },
     }
