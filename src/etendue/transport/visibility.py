@@ -48,11 +48,11 @@ class Visibility:
         #: Whether textures are averaged over the footprint of a pixel.
         self.mipmaps = any(graph.plugin_name(node) == "mipmap" for node in materials(scene))
         self.specular = any(mi.has_flag(node.flags(), mi.BSDFFlags.Delta) for node in found)
-        #: The opaque meshes alone, which block nearly all blocked shadow rays: an any-hit test costs less than the
-        #: closest intersection. Not on a GPU, where a kernel traces rays in one scene only.
-        self._opaque = (
-            _opaque_meshes(scene) if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
-        )
+        #: The opaque meshes alone, which block nearly all blocked shadow rays: an any-hit test costs less than what is
+        #: found out along a ray. Not on a GPU, where a kernel traces rays in one scene only.
+        self._opaque = None
+        if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM and _has_masks(scene):
+            self._opaque = _opaque_meshes(scene)
 
     @property
     def volumes(self) -> bool:
@@ -171,6 +171,11 @@ class Visibility:
 def _passes(bsdf: mi.BSDF) -> bool:
     """Whether a material has a null component."""
     return bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null))
+
+
+def _has_masks(scene: mi.Scene) -> bool:
+    """Whether a null surface bounds no medium. Those that do are few: most rays meet none before their end."""
+    return any(_passes(shape.bsdf()) and not shape.is_medium_transition() for shape in graph.shapes(scene))
 
 
 def _opaque_meshes(scene: mi.Scene) -> mi.Scene | None:
