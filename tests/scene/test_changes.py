@@ -11,6 +11,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.media import FOG, closed, fog
 from support.tables import FAST_SCENES, thinned
 
 import etendue
@@ -95,6 +96,37 @@ def test_values_in_place_give_the_picture_of_a_scene_read_with_them(changed: np.
     assert np.abs(after - before).max() > 0.1
     editor.set(originals)
     np.testing.assert_allclose(picture(replace(problem)), before, rtol=2e-4, atol=1e-5)
+
+
+def test_media(tmp_path: Path) -> None:
+    """In place and in the description: numbers, colours and a phase function, in a medium and below a shape."""
+    medium = fog((0.3, 0.4, 0.5), 0.8, phase={"type": "hg", "g": 0.1})
+    scene = {"type": "scene", "fog": medium} | closed(medium)
+    own = {"type": "homogeneous", "sigma_t": {"type": "constvolume", "value": 0.4}, "albedo": 0.2}
+    glass = {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}
+    scene["ball"] = glass | {"interior": own, "exterior": FOG}
+    values: dict[str, Any] = {
+        "fog.scale": 2.0,
+        "fog.albedo.value.value": 0.5,
+        "fog.sigma_t.value.value": [0.5, 0.4, 0.2],
+        "fog.phase_function.g": -0.3,
+        "ball.interior_medium.sigma_t.value.value": 0.9,
+        "ball.interior_medium.albedo.value.value": 0.7,
+    }
+    problem = load(scene, size=(8, 8), change=name_elements)
+    editor = SceneEditor(problem.scene)
+    found = {p.key: p for p in editor.list() if p.group == "medium"}
+    assert values.keys() <= found.keys()
+    assert {p.label for p in found.values()} >= {"scale", "albedo", "sigma_t", "interior_medium.albedo"}
+    assert {p.plugin for p in found.values()} == {"homogeneous", "hg"}
+    editor.set(values)
+    (tmp_path / "fog.xml").write_text(scene_xml(scene, None, ParameterChanges(values)))
+    expected = picture(load(scene, size=(8, 8), change=ParameterChanges(values)))
+    for other in (replace(problem), load(tmp_path / "fog.xml", size=(8, 8))):
+        np.testing.assert_allclose(picture(other), expected, rtol=1e-3, atol=1e-4)
+    for key, value in (("fog.albedo.value.value", 1.5), ("fog.scale", -1.0), ("fog.phase_function.g", 1.0)):
+        with pytest.raises(OptionError):
+            editor.check(key, value)
 
 
 def test_a_prepared_method_has_old_tables_of_lights() -> None:

@@ -104,9 +104,9 @@ def scene_xml(
     """The XML of a scene after a ``change``, with a film of ``size`` if that is given; file names in it are absolute.
 
     Objects in memory, meshes of bundled scenes (:class:`MeshDescription`), bitmaps and grids, are written to
-    ``folder``, which is created if needed. Raises :class:`SceneError` for a loaded scene, for other objects in memory, for any objects in
-    memory without a ``folder``, and for a scene that cannot be parsed; :class:`OutputError` if a file cannot be
-    written.
+    ``folder``, which is created if needed. Raises :class:`SceneError` for a loaded scene, for other objects in memory,
+    for any objects in memory without a ``folder``, and for a scene that cannot be parsed; :class:`OutputError` if a
+    file cannot be written.
     """
     import mitsuba as mi
 

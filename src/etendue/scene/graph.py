@@ -46,6 +46,8 @@ _PLUGIN_NAMES = {
     "ShapeGroupPlugin": "shapegroup",
     "HomogeneousMedium": "homogeneous",
     "HeterogeneousMedium": "heterogeneous",
+    "TabulatedPhaseFunction": "tabphase",
+    "BlendPhaseFunction": "blendphase",
     "PathIntegrator": "path",
     "DirectIntegrator": "direct",
     "ParticleTracerIntegrator": "ptracer",
@@ -145,7 +147,7 @@ def plugin_name(item: mi.Object) -> str:
     name = str(item.class_name()).split("[")[0]
     if type(item).__name__.endswith("Integrator") and name == "SamplingIntegrator":
         name = type(item).__name__  # Mitsuba's Python integrators
-    return _PLUGIN_NAMES.get(name, name.removesuffix("Integrator").lower())
+    return _PLUGIN_NAMES.get(name, name.removesuffix("Integrator").removesuffix("PhaseFunction").lower())
 
 
 def name(item: mi.Object) -> str:

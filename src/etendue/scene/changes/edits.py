@@ -75,18 +75,23 @@ def _elements(state: mi.parser.ParserState) -> dict[str, mi.parser.SceneNode]:
 
 def _set(state: mi.parser.ParserState, key: str, value: Value) -> None:
     """Change a property of a node. Raises :class:`OptionError` if the key leads to none."""
+    import mitsuba as mi
+
     elements = _elements(state)
     name = next((name for name in sorted(elements, key=len, reverse=True) if key.startswith(f"{name}.")), None)
     if name is None:
         raise OptionError(f"the scene has no element for '{key}'; {suggest(key.split('.')[0], elements)}")
     node, path = elements[name], key[len(name) + 1 :].split(".")
-    if path[-1] == "value" and len(path) > 1:
+    while path[-1] == "value" and len(path) > 1:
         path.pop()
     kind = _kind_of(path[-1], value)
     if path[-1] == "data":  # the picture of a texture or of an environment map
         path[-1] = "filename"
     while len(path) > 1:
         node = _child(state, node, path.pop(0), key)
+    volume = _children(state, node).get(path[0])
+    if volume is not None and volume.type == mi.ObjectType.Volume:
+        node, path = volume, ["value"]
     _put(node.props, path[0], kind, value)
 
 
@@ -124,16 +129,15 @@ def _child(state: mi.parser.ParserState, node: mi.parser.SceneNode, name: str, k
     numbered by their place."""
     import mitsuba as mi
 
-    children = {}
-    for own, value in read_properties(node.props).items():
-        if isinstance(value, mi.Properties.ResolvedReference):
-            children[own] = state.nodes[value.index()]
-    if name in children:
-        return children[name]
+    children = _children(state, node)
+    for known in (name, name.removesuffix("_medium")):
+        if known in children:
+            return children[known]
     for words, kind in (
         (("bsdf", "brdf"), mi.ObjectType.BSDF),
         (("emitter",), mi.ObjectType.Emitter),
         (("texture", "normalmap"), mi.ObjectType.Texture),
+        (("phase_function",), mi.ObjectType.PhaseFunction),
     ):
         if any(word in name for word in words):
             of_kind = [child for child in children.values() if child.type == kind]
@@ -142,6 +146,14 @@ def _child(state: mi.parser.ParserState, node: mi.parser.SceneNode, name: str, k
             if of_kind:
                 return of_kind[place]
     raise SceneError(f"'{key}' cannot be found in the scene's file, so it cannot be changed there")
+
+
+def _children(state: mi.parser.ParserState, node: mi.parser.SceneNode) -> dict[str, mi.parser.SceneNode]:
+    """The nodes below a node, by the names of its properties."""
+    import mitsuba as mi
+
+    found = read_properties(node.props).items()
+    return {own: state.nodes[v.index()] for own, v in found if isinstance(v, mi.Properties.ResolvedReference)}
 
 
 def _kind_of(name: str, value: Value) -> str:

@@ -1,7 +1,8 @@
-"""The parameters of a scene that can be edited: lights, materials, textures, and the places of shapes."""
+"""The parameters of a scene that can be edited: lights, materials, textures, media, and the places of shapes."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 #: Parameters that are not to be edited, because they change how a picture is sampled rather than what it shows.
 _UNUSED = frozenset({"sampling_weight", "silhouette_sampling_weight"})
 #: Groups of parameters.
-LIGHT, MATERIAL, SHAPE = "light", "material", "shape"
+LIGHT, MATERIAL, MEDIUM, SHAPE = "light", "material", "medium", "shape"
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class SceneParameter:
 
     key: str  #: as ``mi.traverse`` names it, such as ``lamp.emitter.radiance.value``
     kind: str  #: see :mod:`.values`
-    group: str  #: ``light``, ``material`` or ``shape``
+    group: str  #: ``light``, ``material``, ``medium`` or ``shape``
     plugin: str  #: plugin of the object that has it, such as ``diffuse``
     allowed: Range
     value: Value  #: the current value
@@ -40,7 +41,7 @@ class SceneParameter:
     @property
     def label(self) -> str:
         """Name of the parameter within the element."""
-        return self.key.split(".", 1)[-1].removesuffix(".value")
+        return _meant(self.key.split(".", 1)[-1])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a page; limits that are infinite are left out."""
@@ -115,14 +116,21 @@ class SceneEditor:
         kind = kind_of(value)
         if kind is None or (group == SHAPE and (name != "to_world" or kind != TRANSFORM)):
             return None
+        if group == MEDIUM and (kind == TEXTURE or (self.fixed and name == "scale")):  # per length of the render space
+            return None
         if self.fixed and (name in ("to_world", "position") or key.endswith(".intensity.value")):
             return None
-        meant = key.removesuffix(".value").rsplit(".", 1)[-1]
+        meant = _meant(key).rsplit(".", 1)[-1]
         if meant == "texture" and kind != TEXTURE:  # of a spot light without a texture: a file cannot set it
             return None
-        if (plugin := plugin_name(owner)).endswith("spectrum"):  # a constant: name the object that has it
-            plugin = plugin_name(self._values.hierarchy[owner][0])
+        while (plugin := plugin_name(owner)).endswith(("spectrum", "constvolume")):  # name the object that has it
+            owner = self._values.hierarchy[owner][0]
         return SceneParameter(key, kind, group, plugin, range_of(meant, group == LIGHT), plain(value, kind))
+
+
+def _meant(key: str) -> str:
+    """A key without the names of the constants that hold its value."""
+    return re.sub(r"(\.value)+$", "", key)
 
 
 def _groups(scene: mi.Scene) -> dict[int, str]:
@@ -140,6 +148,8 @@ def _groups(scene: mi.Scene) -> dict[int, str]:
             group = LIGHT
         elif isinstance(item, mi.BSDF):
             group = MATERIAL
+        elif isinstance(item, mi.Medium):
+            group = MEDIUM
         elif isinstance(item, mi.Shape):
             group = SHAPE
         if group is not None:

@@ -32,12 +32,12 @@ _SHARES = frozenset(
         *("reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance", "base_color"),
         *("diffuse_transmittance", "opacity", "weight", "color0", "color1", "clearcoat", "clearcoat_gloss"),
         *("metallic", "roughness", "anisotropic", "specular", "spec_tint", "sheen", "sheen_tint", "spec_trans"),
-        "flatness",
+        *("flatness", "albedo"),
     )
 )
 _ANGLES = frozenset({"cutoff_angle", "beam_width"})
 _WIDTHS = frozenset({"alpha", "alpha_u", "alpha_v"})
-_NOT_NEGATIVE = frozenset({"radiance", "intensity", "irradiance", "scale", "k", "exponent", "turbidity"})
+_NOT_NEGATIVE = frozenset({"radiance", "intensity", "irradiance", "scale", "k", "exponent", "turbidity", "sigma_t"})
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ def range_of(name: str, of_light: bool) -> Range:
         return Range(0.0, 1.0, above=True)
     if name == "eta":
         return Range(0.0)
+    if name == "g":  # of a phase function
+        return Range(-0.999, 0.999)
     return Range(0.0) if name in _NOT_NEGATIVE else Range()
 
 

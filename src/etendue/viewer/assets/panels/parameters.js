@@ -1,6 +1,6 @@
 // Parameters of the scene as a tree: group, element, parameter; a field for each kind of value.
 
-const GROUPS = { light: 'Lights', material: 'Materials and textures', shape: 'Places of shapes' };
+const GROUPS = { light: 'Lights', material: 'Materials and textures', medium: 'Media', shape: 'Places of shapes' };
 
 const encode = (c) => (c <= 0.0031308 ? 12.92 * c : 1.055 * c ** (1 / 2.4) - 0.055);
 const decode = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
