@@ -31,6 +31,11 @@ from .ending import EndingSettings, EndsInMap
 Trace: TypeAlias = "Callable[[mi.Ray3f, SampleSource, FirstHits | None], CameraPath]"
 
 
+#: Factor on the probability of surviving roulette in media that scatter, where paths are long and carry similar light:
+#: time for equal error is .84 to .99 of that without it in the scenes of ``benchmarks/media.py`` without smoke.
+_IN_FOG = 2.0
+
+
 @dataclass(frozen=True)
 class DirectionSettings(Settings):
     """Settings of the methods that can sample directions without the material."""
@@ -103,7 +108,8 @@ def trace_path(method: EndsInMap, ray: mi.Ray3f, source: SampleSource, first: Fi
     """Camera paths that begin with ``ray``, in their final state, of a method with :class:`PathSettings`; their first
     hits are added to ``first``."""
     settings: Any = method.settings
-    walker = method.walker(Walker, proposal=settings.proposal, first=first)
+    survival = _IN_FOG if method.visibility.volumes else Walker.survival
+    walker = method.walker(Walker, proposal=settings.proposal, first=first, survival=survival)
     path = traced(ray, walker, settings.direct_weights, source, **method.path_fields())
     if (light := method.light_of_map(path)) is not None:
         path.add(light, mi.Bool(True), Component.INDIRECT)
