@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from support import scenes
+from support.media import FLAKES
 from support.tables import thinned
 
 import etendue
@@ -47,7 +48,7 @@ def test_a_fault_is_named_as_the_scene_names_it():
 
 
 def test_unsupported_elements_are_findings():
-    fog = {"type": "cube", "interior": {"type": "heterogeneous", "albedo": 0.5, "sigma_t": 1.0}}
+    fog = {"type": "cube", "interior": FLAKES}
     report = etendue.check(plain(fog=fog), quick=True)
     (row,) = report.failures
     assert row.test == "supported"

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support import passes
+from support.media import FLAKES
 
 from etendue import plugins
 from etendue.core import UnsupportedError
@@ -249,13 +250,12 @@ def test_wrong_parameters(wrong, text):
 
 
 def test_unsupported_elements_keep_their_text():
-    medium = {"type": "heterogeneous", "albedo": 0.5, "sigma_t": 1.0, "id": "smoke"}
-    scene = box("vcm") | {"fog": {"type": "sphere", "interior": medium, "bsdf": {"type": "null"}}}
+    scene = box("vcm") | {"fog": {"type": "sphere", "interior": FLAKES, "bsdf": {"type": "null"}}}
     loaded = mi.load_dict(scene)
     with pytest.raises(RuntimeError) as caught:
         mi.render(loaded, spp=1)
-    assert "of type 'heterogeneous'" in str(caught.value.__cause__)
-    with pytest.raises(UnsupportedError, match="of type 'heterogeneous'"):
+    assert "a phase function of microflakes" in str(caught.value.__cause__)
+    with pytest.raises(UnsupportedError, match="a phase function of microflakes"):
         loaded.integrator().render(loaded, spp=1)
 
 

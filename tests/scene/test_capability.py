@@ -3,13 +3,13 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.media import FLAKES
 
 from etendue.core import BackendError, SceneError, UnsupportedError
 from etendue.scene import check, load
 
 DIFFUSE = {"type": "diffuse"}
 AREA = {"type": "area", "radiance": 2.0}
-MEDIUM = {"type": "homogeneous", "phase": {"type": "sggx", "S": {"type": "constvolume", "value": 1.0}}}
 MASK = {"type": "mask", "inner": DIFFUSE}
 CHECKERS = {"type": "checkerboard"}
 
@@ -102,15 +102,15 @@ def test_instances():
 
 PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
 GROUP = {"type": "shapegroup", "leaf": ball(DIFFUSE)}
-GROUP_OF_FOGGY = {"type": "shapegroup", "leaf": ball(DIFFUSE, interior=MEDIUM)}
+GROUP_OF_FOGGY = {"type": "shapegroup", "leaf": ball(DIFFUSE, interior=FLAKES)}
 
 REFUSED = {
     "interior": (
-        {"fog": ball({"type": "dielectric"}, interior=MEDIUM)},
+        {"fog": ball({"type": "dielectric"}, interior=FLAKES)},
         "medium.*of type 'homogeneous'.*microflakes",
     ),
-    "exterior": ({"fog": ball(DIFFUSE, exterior=MEDIUM)}, "medium.*of type 'homogeneous'"),
-    "foggy camera": ({"camera": {"type": "perspective", "medium": MEDIUM}}, "medium.*of type 'homogeneous'"),
+    "exterior": ({"fog": ball(DIFFUSE, exterior=FLAKES)}, "medium.*of type 'homogeneous'"),
+    "foggy camera": ({"camera": {"type": "perspective", "medium": FLAKES}}, "medium.*of type 'homogeneous'"),
     "distant": ({"camera": {"type": "distant", "film": PIXEL}}, "'distant'"),
     "radiance meter": ({"camera": {"type": "radiancemeter", "film": PIXEL}}, "'radiancemeter'"),
     "irradiance meter": (

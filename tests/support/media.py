@@ -13,6 +13,8 @@ from .scenes import Dict, diffuse, rgb, transform
 #: The medium of the scenes' fog.
 FOG = {"type": "ref", "id": "fog"}
 BLACK = diffuse(0.0, 0.0, 0.0)
+#: A medium that is not supported.
+FLAKES = {"type": "homogeneous", "phase": {"type": "sggx", "S": {"type": "constvolume", "value": 1.0}}}
 
 
 def fog(extinction: Any = 1.0, albedo: Any = 0.8, **more: Any) -> Dict:
