@@ -231,18 +231,21 @@ def _from_parser(
             merge_meshes(state)
         scene = instantiated(config, state)
 
+    def checked(test: Callable[[mi.Scene, mi.Sensor], None]) -> None:
+        try:
+            test(scene, chosen)
+        except SceneError:
+            # Merged meshes have lost their names: check again without merging, so that the error names the element.
+            with _resolving(folders), _mitsuba_errors(name):
+                named = instantiated(config, unmerged)
+            test(named, _sensor(named, sensor, name))
+            raise
+
     chosen = _sensor(scene, sensor, name)
     if camera is not None:
         check_movable(chosen, name)
     if check:
-        try:
-            check_scene(scene, chosen)
-        except SceneError:
-            # Merged meshes have lost their names: check again without merging, so that the error names the element.
-            with _resolving(folders), _mitsuba_errors(name):
-                scene = instantiated(config, unmerged)
-            check_scene(scene, _sensor(scene, sensor, name))
-            raise
+        checked(check_scene)
         if change is None:
             check_light(scene)
     space = RenderSpace.of(scene, chosen)
@@ -251,13 +254,7 @@ def _from_parser(
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
         chosen = _sensor(scene, sensor, name)
     if check:
-        try:
-            check_media(scene, chosen)
-        except SceneError:  # as above
-            with _resolving(folders), _mitsuba_errors(name):
-                scene = instantiated(config, unmerged)
-            check_media(scene, _sensor(scene, sensor, name))
-            raise
+        checked(check_media)
     if not integrator and scene.integrator() is not None:
         # The type of a Python plugin is not known before it is built.
         integrator, depth, options = built_integrator(scene.integrator())
