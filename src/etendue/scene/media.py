@@ -15,6 +15,7 @@ import numpy as np
 
 from etendue.core import Array, UnsupportedError, on_device
 
+from .both import pdf_of_both, value_of_both
 from .graph import contents, describe, plugin_name, shapes
 from .members import Members, bsdfs
 
@@ -262,6 +263,8 @@ def _phase_material(variant: str) -> Any:
         """A phase function as a material: the points of a medium are scattered at as those of a surface are. Local
         directions are those of any frame, and there is no cosine."""
 
+        eval, pdf = value_of_both, pdf_of_both
+
         plugin_name = "phase function"
 
         def __init__(self, phase: mi.PhaseFunction) -> None:
@@ -285,18 +288,6 @@ def _phase_material(variant: str) -> Any:
             bs.wo, bs.pdf, bs.eta = si.to_local(wo), pdf, mi.Float(1.0)
             bs.sampled_type, bs.sampled_component = mi.UInt32(+mi.BSDFFlags.DiffuseReflection), mi.UInt32(0)
             return bs, mi.Color3f(weight) & active
-
-        def eval(
-            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> mi.Color3f:
-            """The phase function."""
-            return self.eval_pdf(ctx, si, wo, active)[0]
-
-        def pdf(
-            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> mi.Float:
-            """The density of ``wo``."""
-            return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(
             self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True

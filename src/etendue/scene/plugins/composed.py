@@ -8,6 +8,8 @@ import mitsuba as mi
 from etendue.core import OptionError, use_variant
 from etendue.integration import Integrand
 
+from ..both import pdf_of_both, value_of_both
+
 #: Parameters of a reflectance: texture coordinates, and two directions.
 PARAMETERS = 8
 
@@ -36,6 +38,8 @@ def composed_bsdf(f: Integrand) -> mi.BSDF:
 
     class ComposedBSDF(mi.BSDF):
         """f cos, and the density of cosine sampling."""
+
+        eval, pdf = value_of_both, pdf_of_both
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
@@ -72,16 +76,6 @@ def composed_bsdf(f: Integrand) -> mi.BSDF:
             found = f.parts(f.evaluate([*si.uv, *wo, *si.wi]))
             value = mi.Color3f(*found) if f.values == 3 else mi.Color3f(mi.Float(found[0]))
             return value * cos & active, cos * dr.inv_pi & active
-
-        def eval(
-            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> mi.Color3f:
-            return self.eval_pdf(ctx, si, wo, active)[0]
-
-        def pdf(
-            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> mi.Float:
-            return self.eval_pdf(ctx, si, wo, active)[1]
 
         def to_string(self) -> str:
             return "composed[]"

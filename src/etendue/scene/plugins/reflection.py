@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..both import pdf_of_both, value_of_both
 from .parameters import block
 from .phong import PhongLobe
 from .ward import WardLobe
@@ -15,6 +16,8 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
 
     class DiffuseAndLobe(mi.BSDF):
         """f = k_d / pi + k_s lobe; a component is selected by its share of the reflectance and sampled."""
+
+        eval, pdf = value_of_both, pdf_of_both
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
@@ -98,16 +101,6 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
             self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
         ) -> tuple[mi.Color3f, mi.Float]:
             return self._evaluate(ctx, si, wo, self._reflectances(si, active), active)
-
-        def eval(
-            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> mi.Color3f:
-            return self.eval_pdf(ctx, si, wo, active)[0]
-
-        def pdf(
-            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> mi.Float:
-            return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
             return self._reflectances(si, active)[0]
