@@ -343,7 +343,7 @@ def test_either_order_of_import(code, renders, tmp_path):
 
 
 def test_other_variants_get_one_clear_error():
-    others = ("scalar_rgb", "llvm_ad_spectral")
+    others = ("scalar_rgb", "llvm_ad_spectral_polarized")
     told = python(OTHER, *others).stdout.splitlines()
     assert len(told) == len(others)
     for other, line in zip(others, told, strict=True):

@@ -178,7 +178,7 @@ def lamp_properties():
     return props
 
 
-@pytest.mark.parametrize("other", ["scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono_polarized"])
+@pytest.mark.parametrize("other", ["scalar_rgb", "llvm_ad_spectral_polarized", "llvm_ad_mono_polarized"])
 def test_other_variants(other):
     with mi.variant_context(other):
         loaded = mi.load_dict(scene())

@@ -35,6 +35,7 @@ from .measurement import (
     Iterations as Iterations,
     Measurement as Measurement,
     SquaresOf as SquaresOf,
+    Weight as Weight,
     warn_of_nonfinite as warn_of_nonfinite,
 )
 from .memory import free_memory as free_memory

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import drjit as dr
 
 #: The Mitsuba variants that étendue runs under.
-VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+VARIANTS = tuple(f"{backend}_ad_{colour}" for colour in ("rgb", "spectral", "mono") for backend in ("llvm", "cuda"))
 
 #: Whether the user's environment, rather than :func:`ensure_llvm`, names the LLVM library.
 NAMED_BY_USER = bool(os.environ.get(llvm.VARIABLE))
@@ -146,8 +146,8 @@ def check_variant(variant: str) -> None:
 
     if variant not in VARIANTS:
         raise BackendError(
-            f"variant '{variant}' is not supported: étendue runs under {' and '.join(VARIANTS)} "
-            "(unpolarized RGB, just-in-time compiled); choose one with --variant or mi.set_variant"
+            f"variant '{variant}' is not supported: étendue runs under {', '.join(VARIANTS)} "
+            "(just-in-time compiled, not polarized); choose one with --variant or mi.set_variant"
         )
     if variant not in mi.variants():
         raise BackendError(f"this build of Mitsuba has no variant '{variant}'; it has: {', '.join(mi.variants())}")

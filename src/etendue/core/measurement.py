@@ -7,10 +7,10 @@ A :class:`Measurement` has named sums, each with its own weight. It contains no 
 from __future__ import annotations
 
 import itertools
-import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from .log import logger
 from .records import Record
 
 Array = NDArray[np.float64]
+#: Weight of a sum: a number, or one for each channel.
+Weight: TypeAlias = float | Array
 
 #: Ending of the name of a sum that is the difference of two independent halves of another one.
 CONTRAST = " contrast"
@@ -156,11 +158,11 @@ class Measurement:
     """
 
     sums: dict[str, Array]
-    weights: dict[str, float]
+    weights: dict[str, Weight]
     iterations: Iterations
     squares: Mapping[str, Array] = field(default_factory=dict)
     counters: dict[str, float] = field(default_factory=dict)
-    squared_weights: dict[str, float] = field(default_factory=dict)
+    squared_weights: dict[str, Weight] = field(default_factory=dict)
     products: dict[str, Array] = field(default_factory=dict)
     records: dict[str, Record] = field(default_factory=dict)
 
@@ -173,12 +175,12 @@ class Measurement:
         self._widen()
         for name, values in self.sums.items():
             values *= factor
-            self.weights[name] *= factor
+            self.weights[name] = self.weights[name] * factor
         for table in (self.squares, self.products):
             for values in table.values():
                 values *= factor**2
         for name in self.squared_weights:
-            self.squared_weights[name] *= factor**2
+            self.squared_weights[name] = self.squared_weights[name] * factor**2
 
     def assign(self, replica: int) -> None:
         """Make these passes, which are of replica 0, those of another replica."""
@@ -201,10 +203,10 @@ class Measurement:
         for name in other.squares:
             if {name} & (self.products.keys() | other.products.keys()) or not self._weighs_like(other, name):
                 self.products[name] = self._product(name) + other._product(name)
-            self.squared_weights[name] += other.squared_weights[name]
+            self.squared_weights[name] = self.squared_weights[name] + other.squared_weights[name]
         for name, value in other.sums.items():
             self.sums[name] += value
-            self.weights[name] += other.weights[name]
+            self.weights[name] = self.weights[name] + other.weights[name]
         for name in other.squares:
             total = self.squares[name]
             if isinstance(other.squares, SquaresOf):
@@ -227,7 +229,7 @@ class Measurement:
     def _weighs_like(self, other: Measurement, name: str) -> bool:
         """Whether the passes of both have the same weight, given that those of each measurement have."""
         mine, theirs = (m.squared_weights[name] / m.weights[name] for m in (self, other))
-        return math.isclose(mine, theirs, rel_tol=1e-12)
+        return bool(np.allclose(mine, theirs, rtol=1e-12, atol=0.0))
 
     def _product(self, name: str) -> Array:
         """Sum over passes of weight times sum."""

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings, checked_path
+from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings, Weight, checked_path
 from etendue.film import replacing
 
 from .recordfiles import read_records, remove_others, write_records
@@ -75,8 +75,8 @@ class Checkpoint:
         header = {
             "magic": _MAGIC,
             "format": FORMAT,
-            "weights": m.weights,
-            "squared_weights": m.squared_weights,
+            "weights": _numbers(m.weights),
+            "squared_weights": _numbers(m.squared_weights),
             "counters": m.counters,
             "iterations": m.iterations.to_json(),
             "records": records,
@@ -115,11 +115,11 @@ class Checkpoint:
                 )
             measurement = Measurement(
                 sums=_select(arrays, "sum/"),
-                weights=header.pop("weights"),
+                weights=_weights(header.pop("weights")),
                 iterations=Iterations.from_json(header.pop("iterations")),
                 squares=_select(arrays, "square/"),
                 counters=header.pop("counters"),
-                squared_weights=header.pop("squared_weights"),
+                squared_weights=_weights(header.pop("squared_weights")),
                 products=_select(arrays, "product/"),
                 records=read_records(header.pop("records"), path),
             )
@@ -212,3 +212,13 @@ def _unpack(value: Any, arrays: dict[str, Any]) -> Any:
 def _differences(saved: dict[str, Any], asked: dict[str, Any]) -> str:
     names = [name for name in sorted(saved.keys() | asked.keys()) if saved.get(name) != asked.get(name)]
     return ", ".join(f"{name} was {saved.get(name)}, is {asked.get(name)}" for name in names)
+
+
+def _numbers(weights: Mapping[str, Weight]) -> dict[str, Any]:
+    """Weights as plain numbers, and as lists of those of channels."""
+    return {name: np.asarray(weight).tolist() for name, weight in weights.items()}
+
+
+def _weights(numbers: Mapping[str, Any]) -> dict[str, Weight]:
+    """Inverse of :func:`_numbers`."""
+    return {name: np.array(own) if isinstance(own, list) else own for name, own in numbers.items()}

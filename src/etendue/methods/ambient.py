@@ -179,7 +179,7 @@ def _seen(s: CameraPath, walker: Walker, ambient: AmbientTable, source: SampleSo
     return s
 
 
-def reflected(s: CameraPath, vertex: WalkVertex, scattered: Scattered, ambient: AmbientTable) -> mi.Color3f:
+def reflected(s: CameraPath, vertex: WalkVertex, scattered: Scattered, ambient: AmbientTable) -> mi.Spectrum:
     """Ambient light that a vertex reflects along the path; 0 where the path continues by specular scattering."""
     ends = scattered.active & ~scattered.is_delta
     return (s.throughput * scattered.weight * ambient.at(vertex, ends)) & ends
@@ -211,7 +211,7 @@ class _EndingWalker(Walker):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+        roulette_by: tuple[mi.Spectrum, mi.Float] | None = None,
     ) -> mi.Float:
         """See :class:`Walker`."""
         assert isinstance(s, CameraPath)
@@ -240,7 +240,7 @@ class _EndingLightWalk(LightWalk):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+        roulette_by: tuple[mi.Spectrum, mi.Float] | None = None,
     ) -> mi.Float:
         """See :class:`Walker`."""
         factor = super().advance(s, vertex, scattered, source, roulette_by)

@@ -16,6 +16,7 @@ import numpy as np
 
 from etendue.core import (
     CONTRAST,
+    Array,
     IndependentSource,
     Iterations,
     Measurement,
@@ -34,7 +35,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Problem, graph, media_of, scatters
+from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, scatters
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -82,6 +83,8 @@ _LANE_BYTES = 64
 _MOST_SAMPLES = 64
 #: Passes of ``for_denoising``, if there are as many samples: fewer tell the variance of a pixel badly.
 DENOISING_PASSES = 8
+#: Passes under a spectral variant, if there are as many samples: each has four wavelengths.
+SPECTRAL_PASSES = 16
 #: Bytes of a pixel of a splat image in cells, and the share of the memory that such images may take.
 _CELL_BYTES, _CELL_SHARE = 120, 0.125
 #: Light and camera paths of a pilot pass.
@@ -197,6 +200,8 @@ class ImageMethod(Method):
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
     #: Participating media that the method renders: "absorbing", "scattering" (both kinds), or None.
     media: ClassVar[str | None] = "absorbing"
+    #: Whether the method renders under variants whose light is not RGB.
+    spectral: ClassVar[bool] = False
     recording = Recording()  #: of the rays of the next walks
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
@@ -206,6 +211,8 @@ class ImageMethod(Method):
             self.least_passes = max(self.least_passes, _GPU_PASSES)
         if self.settings.for_denoising:
             self.least_passes = max(self.least_passes, DENOISING_PASSES)
+        if is_spectral():
+            self.least_passes = max(self.least_passes, SPECTRAL_PASSES)
 
     @classmethod
     def plugin_name(cls) -> str:
@@ -215,14 +222,21 @@ class ImageMethod(Method):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables that all passes share."""
+        if not self.spectral and not is_rgb():
+            raise UnsupportedError(
+                f"method '{self.name}' renders in RGB only, not under {mi.variant()}; use llvm_ad_rgb, or auto, vcm, "
+                "bpt, sppm or path"
+            )
         if problem.size[0] * problem.size[1] * self.samples_for(problem) >= _MAX_LANES:
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
-        self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
-        self.lights, self.visibility = LightTable(problem.scene), Visibility(problem.scene, problem.sensor)
+        self.packet = Packet()
+        self.camera = CameraSampler(problem, self.settings.reconstruction == "independent", self.packet)
+        self.lights = LightTable(problem.scene, self.packet)
+        self.visibility = Visibility(problem.scene, problem.sensor, self.packet)
         if self.visibility.media is not None:
             self._check_media(problem)
         self._hits: FirstHits | None = None  # of the pass that is being made
@@ -275,6 +289,7 @@ class ImageMethod(Method):
 
     def _step(self, iteration: int, seed: int) -> Measurement:
         samples = self.samples_per_iteration
+        self.take_wavelengths(iteration, seed)
         self._hits = self._new_hits(samples) if self.settings.aovs else None
         layers, counters = self.render_pass(iteration, seed, samples)
         layers = with_image(layers)
@@ -288,11 +303,22 @@ class ImageMethod(Method):
         measured = ["image", *(name for name in layers if self.settings.aovs and name in PARTS)]
         return Measurement(
             sums=sums,
-            weights=dict.fromkeys(layers, float(samples)),
+            weights={name: self._weight_of(name, samples) for name in layers},
             iterations=Iterations.single(iteration),
             squares=SquaresOf(sums, measured),
             counters=counters | {"samples": float(samples)},
         )
+
+    def take_wavelengths(self, iteration: int, seed: int) -> None:
+        """Take the wavelengths of a pass, under a spectral variant."""
+        self.packet.choose(iteration, seed)
+        if is_spectral() and self.visibility.media is not None:
+            self.visibility.media.take(self.packet.wavelengths)
+
+    def _weight_of(self, layer: str, samples: int) -> float | Array:
+        """Weight of a pass in a layer's mean: the light of white lamps by channel, times the camera paths per pixel."""
+        light = is_spectral() and layer not in ("normal", "depth", "seen_normal", "seen_share")
+        return samples * self.packet.white if light else float(samples)
 
     @abstractmethod
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -373,10 +399,10 @@ class ImageMethod(Method):
         fields = component_fields() if self.settings.components else {}
         return fields | ({} if self._hits is None else {"through": self._hits.through})
 
-    def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:
-        """(radiance of camera paths, clamped, 0 where it is not finite; mask of lanes where it is not finite). For
-        methods with :class:`CameraSettings`."""
-        radiance, bad = keep_finite(radiance)
+    def kept(self, radiance: mi.Spectrum) -> tuple[mi.Color3f, mi.Bool]:
+        """(colour of camera paths' radiance, clamped, 0 where it is not finite; mask of lanes where it is not finite).
+        For methods with :class:`CameraSettings`."""
+        radiance, bad = keep_finite(self.packet.rgb(radiance))
         if self.settings.clamp > 0.0:
             radiance *= self._clamping(radiance)
         return radiance, bad
@@ -386,8 +412,9 @@ class ImageMethod(Method):
         most = dr.opaque(mi.Float, self.settings.clamp)
         return most / dr.maximum(dr.max(dr.abs(radiance)), most)
 
-    def kept_together(self, parts: dict[str, mi.Color3f]) -> tuple[dict[str, mi.Color3f], mi.Bool]:
+    def kept_together(self, parts: dict[str, mi.Spectrum]) -> tuple[dict[str, mi.Color3f], mi.Bool]:
         """As :meth:`kept`, of the layers whose sum is the radiance: all have the same factor."""
+        parts = {name: self.packet.rgb(part) for name, part in parts.items()}
         whole, bad = keep_finite(functools.reduce(operator.add, parts.values()))
         factor = self._clamping(whole) if self.settings.clamp > 0.0 else mi.Float(1.0)
         return {name: dr.select(bad, 0.0, part * factor) for name, part in parts.items()}, bad
@@ -427,7 +454,7 @@ class ImageMethod(Method):
         return None if self._hits is None else self._hits.of(lanes, iteration)
 
     def _new_hits(self, samples: int) -> FirstHits:
-        return FirstHits(self.camera.pixels, samples, self.visibility.specular)
+        return FirstHits(self.camera.pixels, samples, self.visibility.specular, self.packet)
 
     def first_layers(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], int]:
         """(layers of the first surfaces hit by the camera paths of a pass, or by camera rays if the pass has traced no

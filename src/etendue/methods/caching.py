@@ -123,7 +123,7 @@ class IrradianceCaching(Carrying, Path):
         layers, counters = super().render_pass(iteration, seed, samples)
         return layers, counters | {"rays": counters["rays"] + self._cast}
 
-    def _incident(self, x: list[mi.Float]) -> mi.Color3f:
+    def _incident(self, x: list[mi.Float]) -> mi.Spectrum:
         """Radiance along rays, without light that is sampled at their origin."""
         lane = dr.arange(mi.UInt32, dr.width(x))
         source = IndependentSource(lane, self._seed, "irradiance cache", len(self._cache))

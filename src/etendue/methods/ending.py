@@ -105,7 +105,7 @@ class EndsInMap(ImageMethod):
         """See :class:`ImageMethod`."""
         return super().path_fields() | ({} if self.map is None else {"end": MapEnd.none(self._by_directions)})
 
-    def light_of_map(self, path: CameraPath) -> mi.Color3f | None:
+    def light_of_map(self, path: CameraPath) -> mi.Spectrum | None:
         """Light of the map at the ends of paths, whose loop is evaluated first; None without a map.
 
         Warns once if the map has no surface at some ends; raises :class:`OptionError` if at more than half of them.

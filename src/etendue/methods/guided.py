@@ -107,6 +107,7 @@ class Guided(Carrying, EndsInMap):
     citations: ClassVar[tuple[str, ...]] = ("Muller2017", "Muller2019", "Vorba2016", "Shirley1997", *Path.citations)
     carries_on: ClassVar[bool] = True
     media: ClassVar[str | None] = "scattering"
+    spectral: ClassVar[bool] = True
     #: A lot is a pass at most: five generations of training and a pass, if a budget has the samples.
     least_passes = 32
 
@@ -177,7 +178,7 @@ class Guided(Carrying, EndsInMap):
 
     def _part(
         self, lanes: mi.UInt32, count: int, lot: int, samples: int, iteration: int, seed: int
-    ) -> tuple[dict[str, mi.Color3f], float, float]:
+    ) -> tuple[dict[str, mi.Spectrum], float, float]:
         """The camera paths ``lanes`` of a pass, ``count`` of each pixel, from which the guide learns: (light by layer,
         rays, values that were not finite). ``lot``: paths of each pixel of a lot."""
         own = dr.arange(mi.UInt32, len(lanes))

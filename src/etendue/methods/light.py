@@ -68,6 +68,7 @@ class LightTracing(Carrying, ImageMethod):
     settings: LightSettings
     citations: ClassVar[tuple[str, ...]] = ("Arvo1986", "Veach1997")
     media: ClassVar[str | None] = "scattering"
+    spectral: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Raises :class:`UnsupportedError` for a sensor that points cannot be connected
@@ -162,13 +163,14 @@ class LightTracing(Carrying, ImageMethod):
             si, density = point_on(self.lights, light, u, active & light.is_area)
         if self.lights.has_infinite:
             eye = dr.zeros(mi.Interaction3f)
-            eye.p = self.camera.origin
+            eye.p, eye.wavelengths = self.camera.origin, self.packet.wavelengths
             ds, _ = light.sample_direction("infinite", eye, u, active & light.is_infinite)
             si.p = dr.select(light.is_infinite, eye.p + ds.d * self.camera.far, si.p)
             si.n = dr.select(light.is_infinite, mi.Normal3f(-ds.d), si.n)
             density = dr.select(light.is_infinite, light.pick * ds.pdf, density)
             active &= density > 0.0
 
+        si.wavelengths = self.packet.wavelengths
         joined = self.camera.connect(si, aperture, active)
         # Emitters on surfaces use the cosine only: that to the interpolated normal, which decides where a mesh emits.
         si.wi = mi.Vector3f(0.0, 0.0, dr.dot(joined.direction, si.sh_frame.n))
@@ -179,7 +181,7 @@ class LightTracing(Carrying, ImageMethod):
             # The density is that of a direction: no cosine, and the squared distance cancels. The shadow ray is
             # infinite, and emitters of this kind read ``wi`` as a world direction.
             cos = dr.select(light.is_infinite, dr.square(joined.distance), cos)
-            away = mi.Ray3f(joined.target, -joined.direction, dr.inf, 0.0, mi.Color0f())
+            away = mi.Ray3f(joined.target, -joined.direction, dr.inf, 0.0, self.packet.wavelengths)
             ray = dr.select(light.is_infinite, away, ray)
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
         active = joined.active & (cos > 0.0)

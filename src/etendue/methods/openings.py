@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from etendue.core import IndependentSource, Settings, logger, setting
 from etendue.density import LEAST_LINES
-from etendue.scene import LightTable
+from etendue.scene import LightTable, brightness
 from etendue.transport import DirectWeights, Lines, OpeningWalk, Surroundings, surroundings
 
 from .base import ImageMethod
@@ -67,7 +67,7 @@ def _pilot(method: ImageMethod, seed: int, number: int) -> Lines:
     source = IndependentSource(dr.arange(mi.UInt32, _PATHS), seed, "openings", number)
     ray, importance = _camera_rays(method, source, _PATHS)
     path = method.walker(OpeningWalk, weights=DirectWeights()).trace(ray, source)
-    path.total *= mi.luminance(importance)
+    path.total *= brightness(importance)
     return Lines.of(path)
 
 
@@ -77,7 +77,7 @@ def look_around(method: ImageMethod, seed: int) -> Surroundings:
     return surroundings(method.scene, _camera_rays(method, source, _RAYS)[0], source)
 
 
-def _camera_rays(method: ImageMethod, source: IndependentSource, count: int) -> tuple[mi.Ray3f, mi.Color3f]:
+def _camera_rays(method: ImageMethod, source: IndependentSource, count: int) -> tuple[mi.Ray3f, mi.Spectrum]:
     """Rays and their weights through ``count`` pixels all over the picture."""
     pixels = method.camera.pixels
     pixel = mi.UInt32((mi.Float(dr.arange(mi.UInt32, count)) + 0.5) * dr.opaque(mi.Float, pixels / count))

@@ -31,7 +31,7 @@ from etendue.core import (
     setting,
 )
 from etendue.particles import Keep, Particles, ParticleStore, ParticleWalk, Rows, Surfaces, SurfaceTable, columns_of
-from etendue.scene import LightTable, Problem, graph, refuse_media
+from etendue.scene import LightTable, Problem, graph, refuse_media, require_rgb
 from etendue.transport import (
     EMISSION,
     FIRST_BOUNCE,
@@ -144,6 +144,7 @@ class ParticleTracing(Method):
     def _build(self, problem: Problem, seed: int) -> None:
         settings = self.settings
         self.problem = problem
+        require_rgb("particles")
         refuse_media(problem.scene, "particles", problem.sensor)
         graph.without_literals(problem.scene)
         self.lights = LightTable(problem.scene)

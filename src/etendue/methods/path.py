@@ -85,6 +85,7 @@ class Path(EndsInMap):
     settings: PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
     media: ClassVar[str | None] = "scattering"
+    spectral: ClassVar[bool] = True
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Twice as many: a pass is short, and its fixed cost counts."""

@@ -89,7 +89,8 @@ def rays_through(
             method.trace_from_lights(number, iteration, seed)
 
     try:
-        return recorded(trace, _EDGES * paths, _reach(method.lights))
+        method.take_wavelengths(iteration, seed)
+        return recorded(trace, _EDGES * paths, _reach(method.lights), method.packet)
     finally:
         method.recording = Recording()
 
@@ -98,7 +99,8 @@ class LightRays:
     """Light paths of one scene, with its lights and geometry at the time of construction."""
 
     def __init__(self, problem: Problem) -> None:
-        self.lights, self._visibility = LightTable(problem.scene), Visibility(problem.scene, problem.sensor)
+        self.lights = LightTable(problem.scene)
+        self._visibility = Visibility(problem.scene, problem.sensor, self.lights.packet)
 
     def trace(self, light: int | None, paths: int, seed: int = 0) -> Rays:
         """Light paths from the light with a number in ``scene.emitters()``; ``None``: from all, by power. Raises
@@ -112,7 +114,10 @@ class LightRays:
         if share == 0.0:
             raise OptionError(f"light {light} of the scene emits nothing; choose another")
         return recorded(
-            lambda recorder: self._walk(recorder, light, paths, seed, share, power), _EDGES * paths, _reach(self.lights)
+            lambda recorder: self._walk(recorder, light, paths, seed, share, power),
+            _EDGES * paths,
+            _reach(self.lights),
+            self.lights.packet,
         )
 
     def _walk(

@@ -21,6 +21,7 @@ from etendue.core import (
     Result,
     Settings as AnySettings,
     State,
+    Weight,
     free_memory,
     logger,
     seed_key,
@@ -187,7 +188,7 @@ class LineCasting(Method):
             raise RadiosityError(f"pass {iteration} has no lines: the limit is {self.most} bundles")
         chunk = np.concatenate(chunks)
         sums: dict[str, Array] = {}
-        weights: dict[str, float] = {}
+        weights: dict[str, Weight] = {}
         if self._shot is not None:
             begin, stop = self._shot_blocks(first), self._shot_blocks(end)
             light = self._shot.light(begin, stop - begin)

@@ -57,6 +57,13 @@ if TYPE_CHECKING:
     from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
     from .meshes import box as box, joined as joined
     from .models.reading import emits as emits
+    from .packet import (
+        Packet as Packet,
+        brightness as brightness,
+        is_rgb as is_rgb,
+        is_spectral as is_spectral,
+        require_rgb as require_rgb,
+    )
     from .parsing import Change as Change, is_sensor as is_sensor
     from .parts import load_part as load_part, shape_boxes as shape_boxes, unmerged as unmerged
     from .plugins import composed_bsdf as composed_bsdf, register as register

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 def value_of_both(
     bsdf: Any, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-) -> mi.Color3f:
+) -> mi.Spectrum:
     """The value of ``eval_pdf``: the BSDF times the cosine."""
     return bsdf.eval_pdf(ctx, si, wo, active)[0]
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +16,7 @@ from .changes.transforms import fault, mirrors, misshapen
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
-from .media import is_constant, media_of, volume_of
+from .media import is_constant, media_of, values_of, volume_of
 from .space import SENSORS
 
 if TYPE_CHECKING:
@@ -171,14 +170,10 @@ def _check_medium(medium: mi.Medium) -> None:
 
 def _values(medium: mi.Medium, key: str) -> NDArray[np.floating[Any]]:
     """All values of a volume of a medium, that of the extinction times the medium's scale."""
-    import mitsuba as mi
-
     volume = volume_of(medium, key)
     if volume is None:
         return np.zeros(0)
-    values = dict(contents(volume).values)
-    grid = as_array(values["data"]) if "data" in values else np.array(volume.eval(dr.zeros(mi.MediumInteraction3f)))
-    return grid * (float(dict(contents(medium).values)["scale"]) if key == "sigma_t" else 1.0)
+    return values_of(volume) * (float(dict(contents(medium).values)["scale"]) if key == "sigma_t" else 1.0)
 
 
 def _check_values(item: mi.Object, name: str) -> None:

@@ -16,13 +16,14 @@ import numpy as np
 from etendue.core import Array, UnsupportedError, on_device
 
 from .both import pdf_of_both, value_of_both
-from .graph import contents, describe, plugin_name, shapes
+from .graph import as_array, contents, describe, plugin_name, shapes
 from .members import Members, bsdfs
+from .packet import is_spectral, spread_wavelengths
 
 #: In place of the number of a medium that is not known.
 UNKNOWN = (1 << 32) - 1
-#: Numbers of a medium on the device: three colours.
-_COLUMNS = 9
+#: Packets of wavelengths at which it is tested whether a medium is grey.
+_WAVELENGTHS = 16
 
 
 def media_of(scene: mi.Scene, sensor: mi.Sensor | None = None) -> list[mi.Medium]:
@@ -43,9 +44,12 @@ def _media(scene: mi.Scene, sensor: mi.Sensor | None) -> Iterator[mi.Medium | No
             yield end.get_medium()
 
 
-def coefficients(medium: mi.Medium) -> tuple[Array, Array]:
-    """(extinction, scattering) of a medium by colour channel, per unit of length, on the host, at the origin."""
-    scattering, _, extinction = medium.get_scattering_coefficients(dr.zeros(mi.MediumInteraction3f))
+def coefficients(medium: mi.Medium, wavelengths: mi.Spectrum | None = None) -> tuple[Array, Array]:
+    """(extinction, scattering) of a medium by colour channel, per unit of length, on the host, at the origin;
+    ``wavelengths``: of the channels, one packet, under a spectral variant."""
+    at = dr.zeros(mi.MediumInteraction3f)
+    at.wavelengths = spread_wavelengths() if wavelengths is None else wavelengths
+    scattering, _, extinction = medium.get_scattering_coefficients(at)
     return np.array(extinction, np.float64).ravel(), np.array(scattering, np.float64).ravel()
 
 
@@ -68,8 +72,7 @@ def scatters(medium: mi.Medium) -> bool:
     """Whether a medium scatters light, in any colour."""
     albedo = volume_of(medium, "albedo")
     if is_constant(albedo):
-        at_origin = np.array(albedo.eval(dr.zeros(mi.MediumInteraction3f)))
-        return majorant(medium) > 0.0 and bool(at_origin.any())
+        return majorant(medium) > 0.0 and bool(_at_origin(albedo).any())
     return majorant(medium) > 0.0 and (albedo is None or albedo.max() > 0.0)
 
 
@@ -108,9 +111,8 @@ class Media:
     def __init__(
         self, scene: mi.Scene, found: Sequence[mi.Medium], sensor: mi.Sensor | None, outside: Sequence[int]
     ) -> None:
-        numbers = [number_of(medium) for medium in found]
-        rows = np.zeros((max(numbers) + 1, _COLUMNS))
-        materials = np.zeros(len(rows), np.uint32)
+        self._numbers = numbers = [number_of(medium) for medium in found]
+        materials = np.zeros(max(numbers) + 1, np.uint32)
         kept, ids = [], []
         varying: list[int] = []
         #: Whether a medium is heterogeneous.
@@ -120,27 +122,22 @@ class Media:
         #: The largest extinction of a medium that scatters, of a grid at the collisions in the mean, on the host.
         self.densest = 0.0
         for number, medium in zip(numbers, found, strict=True):
-            if medium.is_homogeneous():
-                extinction, scattering = coefficients(medium)
-                if not is_constant(volume_of(medium, "albedo")):
-                    scattering = 0.0 * scattering
-                    varying.append(number)
-                grey = bool((extinction == extinction[0]).all())
-            else:
-                extinction = scattering = np.zeros(3)
+            if not medium.is_homogeneous():
                 varying.append(number)
-                self.heterogeneous, grey = True, _is_grey(volume_of(medium, "sigma_t"))
-            rows[number, :3] = extinction
+                self.heterogeneous = True
+            elif not is_constant(volume_of(medium, "albedo")):
+                varying.append(number)
             if scatters(medium):
-                rows[number, 3:] = np.concatenate([extinction, scattering])
                 kept.append(_phase_material(mi.variant())(medium.phase_function()))
                 materials[number] = _pointer(kept[-1])
                 ids.append(int(materials[number]))
-                self.is_grey &= grey
+                self.is_grey &= _is_grey(volume_of(medium, "sigma_t"))
                 self.densest = max(self.densest, _met(medium))
         #: Whether a medium scatters light.
         self.scatters = bool(kept)
-        self._rows, self._materials = on_device(mi.Float, rows), on_device(mi.UInt32, materials)
+        self._materials = on_device(mi.UInt32, materials)
+        self._scattering = [bool(materials[number]) for number in numbers]
+        self.take(spread_wavelengths())
         #: Media whose coefficients depend on the position.
         self._varying = Members(mi.MediumPtr, varying, varying) if varying else None
         #: The medium that camera paths start in.
@@ -154,6 +151,22 @@ class Media:
             ids = [*self.bsdfs.ids, *ids]
             self.bsdfs = Members(mi.BSDFPtr, ids, ids, kept)
 
+    def take(self, wavelengths: mi.Spectrum) -> None:
+        """Take the coefficients at the wavelengths of a pass."""
+        self._wavelengths = wavelengths
+        channels = dr.size_v(mi.Spectrum)
+        rows = np.zeros((max(self._numbers) + 1, 3, channels))
+        for number, scatters in zip(self._numbers, self._scattering, strict=True):
+            medium = dr.reinterpret_array(mi.MediumPtr, mi.UInt32(number))[0]
+            if not medium.is_homogeneous():
+                continue
+            extinction, scattering = coefficients(medium, wavelengths)
+            rows[number, 0] = extinction
+            if scatters:
+                rows[number, 1] = extinction
+                rows[number, 2] = scattering if is_constant(volume_of(medium, "albedo")) else 0.0
+        self._rows, self._columns = on_device(mi.Float, rows), 3 * channels
+
     def outside(self, light: mi.UInt32) -> mi.UInt32:
         """The medium that rays from the light with a number start in, or UNKNOWN."""
         return dr.gather(mi.UInt32, self._of_light, light)
@@ -162,29 +175,33 @@ class Media:
         """Lanes where :meth:`outside` does not know the medium."""
         return medium == UNKNOWN
 
-    def extinction(self, medium: mi.UInt32) -> mi.Color3f:
+    def extinction(self, medium: mi.UInt32) -> mi.Spectrum:
         """Extinction of a homogeneous medium, by colour channel; 0 for others."""
         return self._colour(medium, 0)
 
-    def sampled(self, medium: mi.UInt32) -> mi.Color3f | mi.Float:
+    def sampled(self, medium: mi.UInt32) -> mi.Spectrum | mi.Float:
         """Extinction with which walks sample free paths, by colour channel, or as one number; see above."""
-        return dr.gather(mi.Float, self._rows, medium * _COLUMNS + 3) if self.is_grey else self._colour(medium, 1)
+        if self.is_grey:
+            return dr.gather(mi.Float, self._rows, medium * self._columns + self._columns // 3)
+        return self._colour(medium, 1)
 
-    def one(self) -> mi.Color3f | mi.Float:
+    def one(self) -> mi.Spectrum | mi.Float:
         """1, of the type of :meth:`sampled`."""
-        return mi.Float(1.0) if self.is_grey else mi.Color3f(1.0)
+        return mi.Float(1.0) if self.is_grey else mi.Spectrum(1.0)
 
-    def of_type(self, colour: mi.Color3f) -> mi.Color3f | mi.Float:
+    def of_type(self, colour: mi.Spectrum) -> mi.Spectrum | mi.Float:
         """A colour as the type of :meth:`sampled`."""
-        return colour.x if self.is_grey else colour
+        return colour[0] if self.is_grey else colour
 
-    def at(self, medium: mi.UInt32, position: mi.Point3f, active: mi.Bool) -> tuple[mi.Color3f | mi.Float, mi.Color3f]:
+    def at(
+        self, medium: mi.UInt32, position: mi.Point3f, active: mi.Bool
+    ) -> tuple[mi.Spectrum | mi.Float, mi.Spectrum]:
         """(extinction as :meth:`sampled`, scattering coefficient by colour channel) at a point of a medium that
         scatters."""
         extinction, scattering = self.sampled(medium), self._colour(medium, 2)
         if self._varying is None:
             return extinction, scattering
-        more = self._varying.call(medium, _at, position, active=active)
+        more = self._varying.call(medium, _at, position, self._wavelengths, active=active)
         return extinction + self.of_type(more[0]), scattering + more[1]
 
     def span(self, medium: mi.UInt32, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
@@ -193,10 +210,10 @@ class Media:
         assert self._varying is not None
         return self._varying.call(medium, _span, ray, active=active)
 
-    def varying_extinction(self, medium: mi.UInt32, position: mi.Point3f, active: mi.Bool) -> mi.Color3f:
+    def varying_extinction(self, medium: mi.UInt32, position: mi.Point3f, active: mi.Bool) -> mi.Spectrum:
         """Extinction at a point of a heterogeneous medium, by colour channel; 0 for others."""
         assert self._varying is not None
-        return self._varying.call(medium, _at, position, active=active)[0]
+        return self._varying.call(medium, _at, position, self._wavelengths, active=active)[0]
 
     def is_collided_with(self, medium: mi.UInt32) -> mi.Bool:
         """Whether a medium scatters, so that walks collide with it."""
@@ -206,20 +223,22 @@ class Media:
         """The phase function as a material."""
         return dr.reinterpret_array(mi.BSDFPtr, dr.gather(mi.UInt32, self._materials, medium))
 
-    def _colour(self, medium: mi.UInt32, column: int) -> mi.Color3f:
-        first = medium * _COLUMNS + 3 * column
-        return mi.Color3f(*(dr.gather(mi.Float, self._rows, first + channel) for channel in range(3)))
+    def _colour(self, medium: mi.UInt32, column: int) -> mi.Spectrum:
+        first = medium * self._columns + column * (self._columns // 3)
+        return mi.Spectrum(*(dr.gather(mi.Float, self._rows, first + k) for k in range(dr.size_v(mi.Spectrum))))
 
 
 # Functions that are dispatched get the medium as an object, not as a pointer.
 
 
-def _at(medium: mi.Medium, position: mi.Point3f, active: mi.Bool) -> tuple[mi.Color3f, mi.Color3f]:
+def _at(
+    medium: mi.Medium, position: mi.Point3f, wavelengths: mi.Spectrum, active: mi.Bool
+) -> tuple[mi.Spectrum, mi.Spectrum]:
     """(extinction if the medium is heterogeneous, else 0; scattering coefficient)."""
     at = dr.zeros(mi.MediumInteraction3f)
-    at.p = position
+    at.p, at.wavelengths = position, wavelengths
     scattering, _, extinction = medium.get_scattering_coefficients(at, active)
-    return mi.Color3f(0.0 if medium.is_homogeneous() else extinction), mi.Color3f(scattering)
+    return mi.Spectrum(0.0 if medium.is_homogeneous() else extinction), mi.Spectrum(scattering)
 
 
 def _span(medium: mi.Medium, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
@@ -232,19 +251,35 @@ def _span(medium: mi.Medium, ray: mi.Ray3f, active: mi.Bool) -> tuple[mi.Float, 
 
 def _met(medium: mi.Medium) -> float:
     """The extinction of a medium; the mean over collisions under even light if it is a grid."""
-    data = next((v for k, v in contents(volume_of(medium, "sigma_t")).values if k == "data"), None)
-    if data is None:
+    volume = volume_of(medium, "sigma_t")
+    if volume is None or is_constant(volume):
         return majorant(medium)
-    values = np.abs(np.array(data, np.float64))
+    values = np.abs(values_of(volume))
     return majorant(medium) * float((values**2).sum() / values.sum() / values.max())
 
 
 def _is_grey(volume: mi.Volume | None) -> bool:
     """Whether a volume is known to have the same value in all colour channels."""
     if is_constant(volume):
-        value = np.array(volume.eval(dr.zeros(mi.MediumInteraction3f))).ravel()
+        value = _at_origin(volume)
         return bool((value == value[0]).all())
     return volume is not None and volume.channel_count() == 1
+
+
+def values_of(volume: mi.Volume) -> Array:
+    """All values of a volume; of a grid of spectra, which has their coefficients, the factors on them."""
+    data = dict(contents(volume).values).get("data")
+    if data is None:
+        return _at_origin(volume)
+    grid = as_array(data).astype(np.float64)
+    return grid[..., 3:] if is_spectral() and grid.shape[-1] == 4 else grid
+
+
+def _at_origin(volume: mi.Volume) -> Array:
+    """Values of a volume at the origin."""
+    at = dr.zeros(mi.MediumInteraction3f)
+    at.wavelengths = spread_wavelengths(_WAVELENGTHS)
+    return np.array(volume.eval(at), np.float64).ravel()
 
 
 def number_of(medium: mi.Medium | None) -> int:
@@ -281,25 +316,25 @@ def _phase_material(variant: str) -> Any:
             sample1: mi.Float,
             sample2: mi.Point2f,
             active: mi.Bool | bool = True,
-        ) -> tuple[mi.BSDFSample3f, mi.Color3f]:
+        ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
             """A direction, and value over density."""
             wo, weight, pdf = self.phase.sample(mi.PhaseFunctionContext(None), _in_medium(si), sample1, sample2, active)
             bs = dr.zeros(mi.BSDFSample3f)
             bs.wo, bs.pdf, bs.eta = si.to_local(wo), pdf, mi.Float(1.0)
             bs.sampled_type, bs.sampled_component = mi.UInt32(+mi.BSDFFlags.DiffuseReflection), mi.UInt32(0)
-            return bs, mi.Color3f(weight) & active
+            return bs, mi.Spectrum(weight) & active
 
         def eval_pdf(
             self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> tuple[mi.Color3f, mi.Float]:
+        ) -> tuple[mi.Spectrum, mi.Float]:
             """Phase function and density."""
             at, context = _in_medium(si), mi.PhaseFunctionContext(None)
             value, pdf = self.phase.eval_pdf(context, at, si.to_world(wo), active)
-            return mi.Color3f(value) & active, dr.select(active, pdf, 0.0)
+            return mi.Spectrum(value) & active, dr.select(active, pdf, 0.0)
 
-        def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
+        def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
             """1: what is absorbed is a property of the medium."""
-            return mi.Color3f(1.0) & active
+            return mi.Spectrum(1.0) & active
 
         def to_string(self) -> str:
             """A name."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import SampleSource
 from etendue.film import PixelFilter
-from etendue.scene import Problem
+from etendue.scene import Packet, Problem, is_spectral
 
 from . import dimensions as dim
 
@@ -79,14 +79,15 @@ class Splats:
         taps = camera.filter.taps(x, y) if self._grid is None else [(self._grid.cell(x, y), mi.Float(1.0), on_film)]
         return SplatPlace(taps, mi.Float(1.0), on_film)
 
-    def add(self, place: SplatPlace, values: Sequence[mi.Color3f], active: mi.Bool, first: int = 0) -> None:
+    def add(self, place: SplatPlace, values: Sequence[mi.Spectrum], active: mi.Bool, first: int = 0) -> None:
         """Add a colour to each image from number ``first`` on, in each active lane."""
         for image, value in enumerate(values, first):
             self.add_to(image, place, value, active)
 
-    def add_to(self, image: mi.UInt32 | int, place: SplatPlace, value: mi.Color3f, active: mi.Bool) -> None:
+    def add_to(self, image: mi.UInt32 | int, place: SplatPlace, value: mi.Spectrum, active: mi.Bool) -> None:
         """Add a colour to the image with a given number, one lane each."""
-        packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
+        colour = self._camera.packet.rgb(value)
+        packet = mi.Vector4f(colour.x, colour.y, colour.z, 0.0)
         for index, share, on_film in place.taps:
             index = index + image * self._stride
             dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
@@ -106,8 +107,9 @@ class CameraSampler:
     pixels within the radius: camera rays are uniform in their pixel, and ``filter.spread`` convolves their values.
     """
 
-    def __init__(self, problem: Problem, independent: bool = False) -> None:
+    def __init__(self, problem: Problem, independent: bool = False, packet: Packet | None = None) -> None:
         self.sensor = problem.sensor
+        self.packet = packet or Packet()
         self.width, self.height = problem.size
         self.pixels = self.width * self.height
         self.filter = PixelFilter(self.sensor.film().rfilter(), self.width, self.height)
@@ -123,7 +125,7 @@ class CameraSampler:
         #: Whether surface points can be connected to the sensor; False for an orthographic one, with parallel rays.
         self.can_splat = _can_connect(self.sensor)
 
-    def primary(self, pixel: mi.UInt32, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f, mi.Point2f]:
+    def primary(self, pixel: mi.UInt32, source: SampleSource) -> tuple[mi.Ray3f, mi.Spectrum, mi.Point2f]:
         """A camera ray through ``pixel`` (index y * width + x): (ray, weight, aperture sample)."""
         y = pixel // self.width
         x = pixel - y * self.width
@@ -135,14 +137,17 @@ class CameraSampler:
         ray, sensor_weight, aperture = self.through(mi.Point2f(film_x, film_y), source)
         return ray, sensor_weight * weight, aperture
 
-    def through(self, position: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f, mi.Point2f]:
+    def through(self, position: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Spectrum, mi.Point2f]:
         """A camera ray through a film position in pixels: (ray, weight, aperture sample)."""
         aperture = mi.Point2f(0.5)
         if self.sensor.needs_aperture_sample():
             aperture = mi.Point2f(*source.next_2d(0, dim.APERTURE))
         on_film = mi.Point2f(position.x / self.width, position.y / self.height)
         ray, weight = self.sensor.sample_ray(0.0, 0.5, on_film, aperture)
-        return ray, mi.Color3f(weight), aperture
+        if is_spectral():
+            weight /= self.sensor.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), 0.5)[1]
+            ray.wavelengths = self.packet.wavelengths
+        return ray, mi.Spectrum(weight), aperture
 
     def on_film(self, position: mi.Point2f) -> mi.Bool:
         """Whether a position in pixels is on the film."""

@@ -32,7 +32,7 @@ class EmittedRay:
 
     ray: mi.Ray3f
     light: mi.UInt32  #: number of the light
-    throughput: mi.Color3f  #: emitted radiance times cosine over the density, a flux
+    throughput: mi.Spectrum  #: emitted radiance times cosine over the density, a flux
     direction_pdf: mi.Float  #: solid-angle density of the direction at the light; 1 for infinite lights and beams
     own_pdf: mi.Float  #: the same without learned directions
     #: Density of the light point under next event, light selection included (infinite lights: of the direction). For a
@@ -53,7 +53,7 @@ class DirectSample:
     direction: mi.Vector3f  #: world, towards the light
     target: mi.Point3f  #: end point of the shadow ray
     light: mi.UInt32  #: number of the light
-    radiance: mi.Color3f  #: incident radiance without occlusion, over ``pdf``
+    radiance: mi.Spectrum  #: incident radiance without occlusion, over ``pdf``
     pdf: mi.Float  #: solid-angle density of the direction, light selection included
     light_ratio: mi.Float  #: emission density over (``pdf`` times cosine at the light)
     is_delta: mi.Bool
@@ -70,7 +70,7 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool, departures: 
     result = EmittedRay(
         ray=dr.zeros(mi.Ray3f, n),
         light=light.row,
-        throughput=dr.zeros(mi.Color3f, n),
+        throughput=dr.zeros(mi.Spectrum, n),
         direction_pdf=dr.full(mi.Float, 1.0, n),
         own_pdf=dr.full(mi.Float, 1.0, n),
         area_density=dr.full(mi.Float, 1.0, n),
@@ -91,6 +91,7 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool, departures: 
         _emit_infinite(result, lights, light, u_point, u_direction, source, active & light.is_infinite)
     if lights.has_beam:
         _emit_beam(result, light, u_point, active & light.is_beam)
+    result.ray.wavelengths = lights.packet.wavelengths
     result.active &= ~dr.all(result.throughput == 0.0)
     return result
 
@@ -105,7 +106,7 @@ def _emit_area(
     mask: mi.Bool,
 ) -> None:
     place, triangle, area_density = place_on(lights, light, light.emitted, u_point, mask)
-    own = light.direction(u_direction)
+    own, wavelengths = light.direction(u_direction), light.packet.wavelengths
     guided: list[Any] = []
     if learned is not None:
         # On a sphere, the normal is distributed around the direction as directions are around the normal of a point.
@@ -114,13 +115,14 @@ def _emit_area(
 
     def emitted(
         emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, own: mi.Vector3f, guided: list[Any], mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Vector3f, mi.Color3f]:
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Vector3f, mi.Spectrum]:
         si = light_point(emitter, triangle, place, mask)
         if guided and is_sphere(emitter):
             si = dr.select(guided[3], sphere_point_facing(emitter.get_shape(), guided[2], si), si)
         frame = mi.Frame3f(si.n)
         local = dr.select(guided[1], frame.to_local(guided[0]), own) if guided else own
         si.wi = facing(emitter, si, frame.to_world(local), mi.Frame3f.cos_theta(local))
+        si.wavelengths = wavelengths
         return si.p, si.n, local, emitter.eval(si, mask)
 
     p, n, local, radiance = light.call("area", emitted, triangle, place, own, guided, active=mask)
@@ -151,7 +153,7 @@ def _emit_point(
     if learned is not None:
         # The emitter gives the intensity at distance 1; ``weight`` is divided by the density of the mixture below.
         probe = dr.zeros(mi.Interaction3f)
-        probe.p = ray.o + learned.direction
+        probe.p, probe.wavelengths = ray.o + learned.direction, ray.wavelengths
         guided = mask & learned.applies
         ds, intensity = light.sample_direction("point", probe, u_direction, guided)
         weight = dr.select(guided, intensity * dr.square(ds.dist), weight * direction_density)
@@ -160,7 +162,7 @@ def _emit_point(
         direction_density = learned.mixed(ray.d, dr.select(lit, direction_density, 0.0), mask)
         direction_density = dr.select(direction_density > 0.0, direction_density, 1.0)
         weight /= direction_density
-        ray = mi.Ray3f(ray.o, ray.d)
+        ray = mi.Ray3f(ray.o, ray.d, 0.0, ray.wavelengths)
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.emitted
     out.direction_pdf[mask] = direction_density
@@ -176,12 +178,14 @@ def _emit_beam(out: EmittedRay, light: Light, u_point: mi.Point2f, mask: mi.Bool
     out.emission_density[mask] = light.emitted * light.area_density
 
 
-def _own_ray(light: Light, kind: str, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
+def _own_ray(light: Light, kind: str, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Spectrum]:
     """A ray sampled by the emitter itself, for emitters of a kind: (ray, weight)."""
 
-    def sample(emitter: mi.Emitter, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
+    wavelengths = light.packet.wavelengths
+
+    def sample(emitter: mi.Emitter, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Spectrum]:
         # The same pair twice: spot reads its direction from the first one, others from the second.
-        return own_ray(emitter, u, u, mask)
+        return own_ray(emitter, u, u, wavelengths, mask)
 
     ray, weight = light.call(kind, sample, u, active=mask)
     return ray, weight
@@ -197,7 +201,7 @@ def _emit_infinite(
     mask: mi.Bool,
 ) -> None:
     centre = dr.zeros(mi.Interaction3f)
-    centre.p = mi.Point3f(lights.bound.xyz)
+    centre.p, centre.wavelengths = mi.Point3f(lights.bound.xyz), lights.packet.wavelengths
     ds, weight = light.sample_direction("infinite", centre, u_direction, mask)
     usable = mask & (ds.pdf > 0.0)
     # A disc of the scene's radius, perpendicular to the direction, that touches the bounding sphere.
@@ -248,7 +252,7 @@ def sample_direct(
         direction=dr.zeros(mi.Vector3f, n),
         target=dr.zeros(mi.Point3f, n),
         light=light.row,
-        radiance=dr.zeros(mi.Color3f, n),
+        radiance=dr.zeros(mi.Spectrum, n),
         pdf=dr.full(mi.Float, 1.0, n),
         light_ratio=dr.zeros(mi.Float, n),
         is_delta=mi.Bool(light.is_delta),
@@ -276,10 +280,11 @@ def _direct_area(
     place, triangle, area_density = place_on(lights, light, light.pick, u_point, mask)
     cone = cone_of(light, si.p) if lights.has_sphere else None
     seen = [*point_in(cone, light, u_point), cone.applies] if cone else []
+    wavelengths = light.packet.wavelengths
 
     def lit(
         emitter: mi.Emitter, p: mi.Point3f, triangle: mi.UInt32, place: mi.Point2f, seen: list[Any], mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float, mi.Color3f]:
+    ) -> tuple[mi.Point3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float, mi.Spectrum]:
         at_light = light_point(emitter, triangle, place, mask)
         if seen and is_sphere(emitter):
             at_light = dr.select(seen[2], sphere_point(emitter.get_shape(), seen[0], seen[1], at_light), at_light)
@@ -287,7 +292,7 @@ def _direct_area(
         distance_squared = dr.squared_norm(offset)
         direction = offset * dr.rsqrt(distance_squared)
         cos = -dr.dot(direction, at_light.n)
-        at_light.wi = facing(emitter, at_light, -direction, cos)
+        at_light.wi, at_light.wavelengths = facing(emitter, at_light, -direction, cos), wavelengths
         radiance = emitter.eval(at_light, mask & (cos > 0.0))
         return at_light.p, at_light.uv, direction, distance_squared, cos, radiance
 
@@ -356,7 +361,7 @@ def emission_of_hit(
     origin: mi.Point3f,
     distance: mi.Float | None = None,
     departures: Departures | None = None,
-) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     """Emission towards the origin of a ray that hit ``si``: (radiance, area density, emission density).
 
     ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, on_device
 from etendue.film import matte_attributes, matte_layers
-from etendue.scene import Problem, graph
+from etendue.scene import Packet, Problem, graph
 
 from . import dimensions as dim
 from .camera import CameraSampler
@@ -37,9 +37,10 @@ class FirstHits:
     With ``specular``, ``seen_albedo`` and ``seen_normal`` are those of the surface at which a path is first scattered
     by something other than a mirror or smooth glass, or ends; the albedo is multiplied by what these reflect or
     transmit. Glass reflects or transmits at random. Only paths that take the more probable way count, so that chance
-    does not make the layers noisy; ``seen_share`` is their share."""
+    does not make the layers noisy; ``seen_share`` is their share. ``packet``: the wavelengths of the pass."""
 
-    def __init__(self, pixels: int, samples: int, specular: bool) -> None:
+    def __init__(self, pixels: int, samples: int, specular: bool, packet: Packet) -> None:
+        self._packet = packet
         self.rays = min(samples, _MOST_RAYS)
         #: Initial :attr:`SubPath.through` of the paths.
         self.through = mi.Bool(True) if specular else None
@@ -75,7 +76,7 @@ class FirstHits:
         return pixel * self._samples + (ray - pixel * self.rays)
 
     def record(
-        self, vertex: WalkVertex, emitted: mi.Color3f, throughput: mi.Color3f, is_first: mi.Bool, active: mi.Bool
+        self, vertex: WalkVertex, emitted: mi.Spectrum, throughput: mi.Spectrum, is_first: mi.Bool, active: mi.Bool
     ) -> None:
         """Record the end of an edge that a path has reached by mirrors and glass only, inside the walk; with
         ``is_first``, also as the first hit, and its emission. ``throughput``: of the path up to the vertex."""
@@ -84,15 +85,16 @@ class FirstHits:
             ray: mi.UInt32,
             si: mi.SurfaceInteraction3f,
             pointer: mi.BSDFPtr,
-            emitted: mi.Color3f,
-            throughput: mi.Color3f,
+            emitted: mi.Spectrum,
+            throughput: mi.Spectrum,
             hit: mi.Bool,
             is_first: mi.Bool,
             active: mi.Bool,
         ) -> mi.Bool:
             n = si.sh_frame.n
             albedo = replace(vertex.bsdf, pointer=pointer).call(mi.BSDF.eval_diffuse_reflectance, si, active=hit)
-            seen = albedo * throughput
+            seen, albedo = self._packet.albedo(albedo * throughput), self._packet.albedo(albedo)
+            emitted = self._packet.rgb(emitted)
             # A packed normal is always finite; therefore NaN marks what does not count, and -1 a missing surface.
             is_normal = dr.all(dr.isfinite(n))
             depth = dr.select(hit, dr.select(is_normal, si.t, dr.nan), 0.0)

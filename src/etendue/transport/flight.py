@@ -2,9 +2,9 @@ r"""Edges through participating media: transmittance, free paths, and the densit
 
 An edge of length d has the transmittance :math:`T_c = \exp(-\sigma_c d)` in each colour channel c, over several media
 the product. Walks cross media that only absorb. In media that scatter they sample the distance by the extinction of one
-channel, drawn for each edge, so that the next vertex has the density
+channel, of the n, drawn for each edge, so that the next vertex has the density
 
-.. math:: W = \frac{1}{3} \sum_c \varsigma_c P_c
+.. math:: W = \frac{1}{n} \sum_c \varsigma_c P_c
 
 with :math:`P_c` the product of the transmittances of the scattering media, :math:`\varsigma_c` the extinction at the
 new vertex if it is in a medium, and 1 if it is on a surface, times the solid-angle density over the squared distance:
@@ -42,8 +42,8 @@ FAR = 1e30
 class Passed:
     """What an edge has crossed from its start on, one lane each."""
 
-    probability: mi.Color3f | mi.Float  #: P so far, by channel
-    start: mi.Color3f | mi.Float  #: extinction at the start if it is in a medium, else 1
+    probability: mi.Spectrum | mi.Float  #: P so far, by channel
+    start: mi.Spectrum | mi.Float  #: extinction at the start if it is in a medium, else 1
     channel: mi.UInt32 | None  #: by which distances are sampled; None if the extinction has one number
 
 
@@ -75,16 +75,16 @@ class Passing:
     @classmethod
     def of(
         cls,
-        probability: mi.Color3f | mi.Float,
-        start: mi.Color3f | mi.Float | None,
-        end: mi.Color3f | mi.Float | None,
+        probability: mi.Spectrum | mi.Float,
+        start: mi.Spectrum | mi.Float | None,
+        end: mi.Spectrum | mi.Float | None,
     ) -> Passing:
         """Of the probability P of an edge by channel, and the extinctions of its ends; None on a surface."""
         both = (mean(probability if here is None else probability * here) for here in (end, start))
         return cls(*both)
 
 
-def mean(value: mi.Color3f | mi.Float) -> mi.Float:
+def mean(value: mi.Spectrum | mi.Float) -> mi.Float:
     """Mean over the channels of a colour, or the number itself."""
     return dr.mean(value) if dr.depth_v(value) > 1 else value
 
@@ -101,16 +101,17 @@ def free_path(media: Media, flight: Flight, source: SampleSource, number: mi.UIn
 
 def draw_channel(source: SampleSource, number: mi.UInt32) -> mi.UInt32:
     """The channel of an edge that leaves vertex ``number``."""
-    return dr.minimum(mi.UInt32(source.decide(number, dim.CHANNEL) * 3.0), 2)
+    channels = dr.size_v(mi.Spectrum)
+    return dr.minimum(mi.UInt32(source.decide(number, dim.CHANNEL) * float(channels)), channels - 1)
 
 
 @dataclass
 class Arrival:
     """The end of a walk's edge through media, one lane each."""
 
-    factor: mi.Color3f  #: on the throughput
+    factor: mi.Spectrum  #: on the throughput
     passing: Passing | None  #: None if no medium scatters
-    extinction: mi.Color3f | mi.Float | None  #: at a collision, by channel; 1 on surfaces; None if no medium scatters
+    extinction: mi.Spectrum | mi.Float | None  #: at a collision, by channel; 1 on surfaces; None if no medium scatters
 
     @classmethod
     def of(
@@ -144,7 +145,7 @@ class Arrival:
 
 def passed_by_walks(
     media: Media, medium: mi.UInt32, distance: mi.Float, tracked: Tracked | None
-) -> mi.Color3f | mi.Float:
+) -> mi.Spectrum | mi.Float:
     """Factor on the probability P of a distance in a medium."""
     probability = dr.exp(-media.sampled(medium) * distance)
     if tracked is not None:

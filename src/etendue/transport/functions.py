@@ -23,7 +23,7 @@ import numpy as np
 
 from etendue.core import Array, OptionError
 from etendue.integration import Box, Integrand, Integrator, integral
-from etendue.scene import Material, bsdfs, emitters, refuse_media, warn_of_offsets
+from etendue.scene import Material, bsdfs, emitters, refuse_media, require_rgb, warn_of_offsets
 
 from .scattering import is_smooth
 
@@ -62,6 +62,7 @@ class TransportFunctions:
             )
         self.scene, self._sensor = scene, sensors[sensor]
         refuse_media(scene, "functions of transport", self._sensor)
+        require_rgb("functions of transport")
         self._emitters, self._bsdfs = emitters(scene), bsdfs(scene)
         warn_of_offsets(scene, self._sensor, "the scene")
         lower, upper = np.array(scene.bbox().min).ravel(), np.array(scene.bbox().max).ravel()
@@ -123,17 +124,17 @@ class TransportFunctions:
     def _material(self, si: mi.SurfaceInteraction3f) -> Material:
         return Material(si.bsdf(), self._bsdfs)
 
-    def _emitted(self, x: Sequence[mi.Float]) -> mi.Color3f:
+    def _emitted(self, x: Sequence[mi.Float]) -> mi.Spectrum:
         si = self._interaction(x)
         if not self._emitters:
-            return mi.Color3f(0.0)
+            return mi.Spectrum(0.0)
         emitter = dr.reinterpret_array(mi.UInt32, si.emitter(self.scene))
         return self._emitters.call(emitter, mi.Emitter.eval, si, active=emitter != 0)
 
-    def _bounce(self, x: Sequence[mi.Float]) -> tuple[list[mi.Float], mi.Color3f]:
+    def _bounce(self, x: Sequence[mi.Float]) -> tuple[list[mi.Float], mi.Spectrum]:
         """(next ray, weight)."""
 
-        def sample() -> tuple[list[mi.Float], mi.Color3f]:
+        def sample() -> tuple[list[mi.Float], mi.Spectrum]:
             si = self._interaction(x)
             valid = si.is_valid()
             arguments = mi.BSDFContext(), si, x[6], mi.Point2f(x[7], x[8])
@@ -148,10 +149,10 @@ class TransportFunctions:
 
         return self._cached("bounce", list(x[:9]), sample)
 
-    def _direct(self, x: Sequence[mi.Float]) -> mi.Color3f:
+    def _direct(self, x: Sequence[mi.Float]) -> mi.Spectrum:
         si = self._interaction(x)
         if not self._emitters:
-            return mi.Color3f(0.0)
+            return mi.Spectrum(0.0)
         material = self._material(si)
         active = si.is_valid() & is_smooth(material)
         number, weight, u = self.scene.sample_emitter(x[6], active)
@@ -169,7 +170,7 @@ class TransportFunctions:
         valid = si.is_valid()
         return [*dr.select(valid, si.p, mi.Point3f(*x[:3])), *dr.select(valid, normal, 0.0)]
 
-    def _albedo(self, x: Sequence[mi.Float]) -> mi.Color3f:
+    def _albedo(self, x: Sequence[mi.Float]) -> mi.Spectrum:
         si = self._interaction(x)
         return self._material(si).call(mi.BSDF.eval_diffuse_reflectance, si, active=si.is_valid())
 

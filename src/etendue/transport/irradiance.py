@@ -230,10 +230,10 @@ class CacheMap:
             found, weight = self.cache(position, normal)  # all points by the same records
         rows = np.zeros((count, 3), np.float32)
         rows[lanes] = found
-        value = mi.Color3f(*(_column(column) for column in rows.T))
+        value = mi.Spectrum(*(_column(column) for column in rows.T))
         known = np.zeros(count, bool)
         known[lanes] = weight > 0
-        return Irradiance(value, mi.Color3f(dr.nan), mi.Bool(known))
+        return Irradiance(value, mi.Spectrum(dr.nan), mi.Bool(known))
 
 
 def stratified_hemispheres(normal: Array, strata: tuple[int, int], seed: int) -> Array:

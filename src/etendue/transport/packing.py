@@ -1,4 +1,4 @@
-"""Unit vectors in few numbers."""
+"""Unit vectors in few numbers, and light in packets of four."""
 
 from __future__ import annotations
 
@@ -33,3 +33,14 @@ def unpacked_normal(packed: mi.Float) -> mi.Vector3f:
     word = dr.reinterpret_array(mi.UInt32, packed)
     u, v = ((mi.Float(x) - 32767.0) * (1.0 / 32767.0) for x in (word & 0xFFFF, word >> 16))
     return unpacked_direction(u, v)
+
+
+def packed_light(light: mi.Spectrum) -> tuple[list[mi.Float], mi.Float | None]:
+    """(three numbers of light for a packet; the fourth, of spectral light only)."""
+    numbers = [*light, *[mi.Float(0.0)] * 2]
+    return numbers[:3], light[3] if dr.size_v(light) > 3 else None
+
+
+def unpacked_light(packet: mi.Vector4f, fourth: mi.Float | None) -> mi.Spectrum:
+    """Inverse of :func:`packed_light`."""
+    return mi.Spectrum(*[*packet.xyz, fourth][: dr.size_v(mi.Spectrum)])

@@ -48,7 +48,7 @@ class _Collision(SubPath):
         return cls(
             active=mi.Bool(True),
             ray=mi.Ray3f(ray),
-            throughput=mi.Color3f(1.0),
+            throughput=mi.Spectrum(1.0),
             eta=eta,
             depth=mi.UInt32(1),
             travelled=mi.Float(0.0),

@@ -16,6 +16,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.scene import Packet
+
 if TYPE_CHECKING:
     from .scattering import Scattered
     from .vertex import WalkVertex
@@ -97,8 +99,8 @@ class _Sheet:
     """Edges that one operation of a walk writes, in an order that is not repeatable. Operations cannot share a sheet:
     within a loop, Dr.Jit increments a counter in one place only."""
 
-    def __init__(self, capacity: int) -> None:
-        self.capacity = capacity
+    def __init__(self, capacity: int, packet: Packet) -> None:
+        self.capacity, self._packet = capacity, packet
         self.wanted = dr.opaque(mi.UInt32, 0, 1)  # edges, also those beyond the capacity
         self._limit = dr.opaque(mi.UInt32, capacity)
         self._words = dr.empty(mi.Float, 4 * _PACKETS * capacity)
@@ -107,13 +109,13 @@ class _Sheet:
         self,
         tag: mi.UInt32,
         ends: tuple[mi.Point3f, mi.Point3f],
-        value: mi.Color3f,
+        value: mi.Spectrum,
         owners: tuple[mi.UInt32, mi.UInt32],
         active: mi.Bool,
     ) -> mi.UInt32:
         """Write an edge per active lane; returns its slot. ``owners``: path, and light path that it was joined to."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
-        for packet, (vector, word) in enumerate(zip((*ends, value), (tag, *owners), strict=True)):
+        for packet, (vector, word) in enumerate(zip((*ends, self._packet.rgb(value)), (tag, *owners), strict=True)):
             row = mi.Vector4f(vector.x, vector.y, vector.z, dr.reinterpret_array(mi.Float, word))
             dr.scatter(self._words, row, slot * _PACKETS + packet, active & (slot < self._limit))
         return slot
@@ -133,16 +135,16 @@ class _Sheet:
 class RayRecorder:
     """The edges of some walks; at most ``capacity`` of each operation are kept.
 
-    reach: length of an edge that leaves the scene.
+    reach: length of an edge that leaves the scene. packet: wavelengths of the walks.
     """
 
-    def __init__(self, capacity: int, reach: float) -> None:
-        self._capacity, self.reach = capacity, dr.opaque(mi.Float, reach)
+    def __init__(self, capacity: int, reach: float, packet: Packet) -> None:
+        self._capacity, self.reach, self._packet = capacity, dr.opaque(mi.Float, reach), packet
         self._sheets: list[_Sheet] = []
 
     def sheet(self) -> _Sheet:
         """A new sheet, for an operation that is being traced."""
-        self._sheets.append(_Sheet(self._capacity))
+        self._sheets.append(_Sheet(self._capacity, self._packet))
         return self._sheets[-1]
 
     @property
@@ -226,7 +228,7 @@ class WalkRecorder:
         kind: Edge,
         vertex: WalkVertex,
         target: mi.Point3f,
-        value: mi.Color3f,
+        value: mi.Spectrum,
         active: mi.Bool,
         light: mi.UInt32 | int = 0,
     ) -> None:
@@ -249,10 +251,10 @@ class Recording:
     light: WalkRecorder | None = None
 
 
-def recorded(trace: Callable[[RayRecorder], object], capacity: int, reach: float) -> Rays:
+def recorded(trace: Callable[[RayRecorder], object], capacity: int, reach: float, packet: Packet) -> Rays:
     """The edges that ``trace`` records; it is called again if there are more than ``capacity``."""
     while True:
-        recorder = RayRecorder(capacity, reach)
+        recorder = RayRecorder(capacity, reach, packet)
         trace(recorder)
         if recorder.wanted <= capacity or capacity >= MOST_EDGES:
             return recorder.rays()

@@ -31,7 +31,7 @@ class Scattered:
     """One sampled direction, one lane each."""
 
     direction: mi.Vector3f  #: world
-    weight: mi.Color3f  #: factor on the throughput
+    weight: mi.Spectrum  #: factor on the throughput
     pdf: mi.Float  #: solid-angle density of the direction
     reverse_pdf: mi.Float  #: solid-angle density of sampling the incoming direction from the sampled one
     cos: mi.Float  #: |cos| of the direction and the geometric normal
@@ -46,17 +46,17 @@ class Scattered:
 class Evaluated:
     """A BSDF evaluated for one given direction, one lane each."""
 
-    value: mi.Color3f  #: f |cos_s(light side)|
+    value: mi.Spectrum  #: f |cos_s(light side)|
     pdf: mi.Float  #: solid-angle density of the direction
     reverse_pdf: mi.Float  #: solid-angle density of sampling the incoming direction from the given one
     plain_pdf: mi.Float | None = None  #: the density by the BSDF alone, where ``pdf`` is that of a guide, too
 
 
 #: A sampled local direction: (wo, weight, pdf, reverse_pdf, eta, flags of the sampled component).
-_Sampled: TypeAlias = "tuple[mi.Vector3f, mi.Color3f, mi.Float, mi.Float, mi.Float, mi.UInt32]"
+_Sampled: TypeAlias = "tuple[mi.Vector3f, mi.Spectrum, mi.Float, mi.Float, mi.Float, mi.UInt32]"
 _Sample: TypeAlias = "Callable[[mi.BSDF, mi.SurfaceInteraction3f, tuple[mi.Float, mi.Point2f], mi.Bool], _Sampled]"
 _Evaluate: TypeAlias = (
-    "Callable[[mi.BSDF, mi.SurfaceInteraction3f, mi.Vector3f, mi.Bool], tuple[mi.Color3f, mi.Float, mi.Float]]"
+    "Callable[[mi.BSDF, mi.SurfaceInteraction3f, mi.Vector3f, mi.Bool], tuple[mi.Spectrum, mi.Float, mi.Float]]"
 )
 
 
@@ -111,7 +111,7 @@ def evaluate_light_end(bsdf: Material, si: mi.SurfaceInteraction3f, wo: mi.Vecto
 
 def _camera_end(
     bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
-) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, active)
     reverse = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, active)
     return _not_tangential(bsdf, wo, value, pdf, reverse)
@@ -119,15 +119,15 @@ def _camera_end(
 
 def _light_end(
     bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
-) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
     pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
     return _not_tangential(bsdf, wo, value, pdf, reverse)
 
 
 def _not_tangential(
-    bsdf: mi.BSDF, wo: mi.Vector3f, value: mi.Color3f, pdf: mi.Float, reverse_pdf: mi.Float
-) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+    bsdf: mi.BSDF, wo: mi.Vector3f, value: mi.Spectrum, pdf: mi.Float, reverse_pdf: mi.Float
+) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     """The same values, 0 for directions tangential to a surface, for which some materials return NaN."""
     if is_phase(bsdf):
         return value, pdf, reverse_pdf
@@ -233,7 +233,7 @@ def _scatter(
         active: mi.Bool,
         directions: list[tuple[mi.Vector3f, mi.Bool]],
         everywhere: mi.Bool,
-    ) -> tuple[_Sampled, list[tuple[mi.Color3f, mi.Float, mi.Float]]]:
+    ) -> tuple[_Sampled, list[tuple[mi.Spectrum, mi.Float, mi.Float]]]:
         return sample(bsdf, si, u, active), [evaluate(bsdf, si, wo, mask) for wo, mask in directions]
 
     sampled, evaluated = bsdf.call(call, si, u, active, list(directions))
@@ -302,7 +302,7 @@ def _sample_uniform(
 
 def _uniform_end(
     bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool, light: bool = False
-) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     """``light``: at a light vertex."""
     if light:
         value = bsdf.eval(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
@@ -323,7 +323,7 @@ def _uniform_share(bsdf: mi.BSDF) -> tuple[float, float]:
 
 
 def roulette(
-    throughput: mi.Color3f, eta: mi.Float, depth: mi.UInt32, first_depth: int, u: mi.Float, scale: float = 1.0
+    throughput: mi.Spectrum, eta: mi.Float, depth: mi.UInt32, first_depth: int, u: mi.Float, scale: float = 1.0
 ) -> tuple[mi.Bool, mi.Float]:
     """Russian roulette by ``scale`` times the throughput from ``first_depth`` on: (survives, factor on the throughput).
 
@@ -336,7 +336,7 @@ def roulette(
 
 
 def shadow_roulette(
-    contributions: Sequence[mi.Color3f], threshold: mi.Float, u: mi.Float, active: mi.Bool
+    contributions: Sequence[mi.Spectrum], threshold: mi.Float, u: mi.Float, active: mi.Bool
 ) -> tuple[mi.Bool, mi.Float]:
     """Russian roulette before a shadow ray: (whether the ray is cast, factor on the contributions).
 

@@ -32,7 +32,7 @@ class Tracked:
     """An edge through a heterogeneous medium, one lane each."""
 
     collision: mi.Float  #: distance to a collision; infinite: none
-    passed: mi.Color3f  #: product of the probabilities of null collisions, by channel
+    passed: mi.Spectrum  #: product of the probabilities of null collisions, by channel
 
 
 @dataclass
@@ -43,7 +43,7 @@ class _Tracking:
     t: mi.Float
     step: mi.UInt32
     collision: mi.Float
-    passed: mi.Color3f
+    passed: mi.Spectrum
 
 
 def keys_of_walk(source: SampleSource, number: mi.UInt32) -> Keys:
@@ -100,19 +100,22 @@ def track(
         t=mi.Float(first),
         step=mi.UInt32(0),
         collision=mi.Float(dr.inf),
-        passed=mi.Color3f(1.0),
+        passed=mi.Spectrum(1.0),
     )
     (found,) = dr.while_loop((start,), lambda s: s.active, step, label="null collisions")
     return Tracked(found.collision, found.passed)
 
 
-def in_channel(colour: mi.Color3f | mi.Float, channel: mi.UInt32 | None) -> mi.Float:
+def in_channel(colour: mi.Spectrum | mi.Float, channel: mi.UInt32 | None) -> mi.Float:
     """A number of a colour by its channel; None: all are equal."""
     if dr.depth_v(colour) == 1:
         return colour
     if channel is None:
-        return colour.x
-    return dr.select(channel == 0, colour.x, dr.select(channel == 1, colour.y, colour.z))
+        return colour[0]
+    *others, found = colour
+    for number, one in reversed(list(enumerate(others))):
+        found = dr.select(channel == number, one, found)
+    return found
 
 
 def _bits(number: mi.Float) -> mi.UInt32:

@@ -48,7 +48,7 @@ class Vertex:
     bsdf: Material
     medium: mi.UInt32 | None = None  #: the medium on the side of ``wi``; None in scenes without media
     #: Extinction with which walks find the vertex, by channel, 1 on surfaces; None if no medium scatters.
-    extinction: mi.Color3f | mi.Float | None = None
+    extinction: mi.Spectrum | mi.Float | None = None
 
     @property
     def position(self) -> mi.Point3f:

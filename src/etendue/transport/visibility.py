@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import Material, Media, bsdfs, graph, materials, media_in, medium_at, medium_behind
+from etendue.scene import Material, Media, Packet, bsdfs, graph, materials, media_in, medium_at, medium_behind
 
 from .flight import FAR, passed_by_walks
 from .tracking import keys_of_ray, track
@@ -29,17 +29,19 @@ class Sight:
     """What is seen along a shadow ray, one lane each."""
 
     visible: mi.Bool  #: the end of the ray
-    transmittance: mi.Color3f | float = 1.0  #: of null surfaces and media; the number 1.0 in scenes without these
+    transmittance: mi.Spectrum | float = 1.0  #: of null surfaces and media; the number 1.0 in scenes without these
     #: Probability, by channel, that a walk passes through the media; None if none of the scene scatters.
-    passing: mi.Color3f | mi.Float | None = None
+    passing: mi.Spectrum | mi.Float | None = None
 
 
 class Visibility:
     """Visibility in one scene, with its geometry at the time of construction. ``transparent``: whether the scene has
     null surfaces; ``specular``: whether it has these, mirrors or smooth glass; ``sensor``: where camera paths start."""
 
-    def __init__(self, scene: mi.Scene, sensor: mi.Sensor | None = None) -> None:
+    def __init__(self, scene: mi.Scene, sensor: mi.Sensor | None = None, packet: Packet | None = None) -> None:
         self.scene = scene
+        #: The wavelengths of light vertices.
+        self.packet = packet or Packet()
         #: The participating media; None if there are none.
         self.media = media_in(scene, sensor)
         self.bsdfs = bsdfs(scene) if self.media is None else self.media.bsdfs
@@ -81,7 +83,7 @@ class Visibility:
             if self.media is None or medium is None:
                 return Sight(visible)
             return Sight(visible, *self._through(self.media, medium, ray, ray.maxt, visible))
-        transmittance = mi.Color3f(1.0)
+        transmittance = mi.Spectrum(1.0)
         if self._opaque is not None:
             blocked = self._opaque.ray_test(ray, active)
             active, transmittance = active & ~blocked, transmittance & ~blocked
@@ -93,10 +95,10 @@ class Visibility:
             o: mi.Point3f,
             d: mi.Vector3f,
             maxt: mi.Float,
-            transmittance: mi.Color3f,
+            transmittance: mi.Spectrum,
             crossings: mi.UInt32,
             medium: mi.UInt32 | None,
-            passing: mi.Color3f | mi.Float | None,
+            passing: mi.Spectrum | mi.Float | None,
         ) -> tuple[Any, ...]:
             ray = mi.Ray3f(o, d, maxt, time, wavelengths)
             hit = self.scene.ray_intersect_preliminary(ray, active=active)
@@ -117,11 +119,11 @@ class Visibility:
             def behind(
                 null: mi.Bool,
                 ray: mi.Ray3f,
-                transmittance: mi.Color3f,
+                transmittance: mi.Spectrum,
                 crossings: mi.UInt32,
                 medium: mi.UInt32 | None,
                 hit: mi.PreliminaryIntersection3f,
-            ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f, mi.UInt32, mi.UInt32 | None]:
+            ) -> tuple[mi.Bool, mi.Ray3f, mi.Spectrum, mi.UInt32, mi.UInt32 | None]:
                 si = hit.compute_surface_interaction(ray, active=null)
                 material = self.material(si, ray)
                 transmittance = transmittance * material.call(mi.BSDF.eval_null_transmission, si, active=null)
@@ -157,7 +159,7 @@ class Visibility:
     @staticmethod
     def _through(
         media: Media, medium: mi.UInt32, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool
-    ) -> tuple[mi.Color3f, mi.Color3f | mi.Float | None]:
+    ) -> tuple[mi.Spectrum, mi.Spectrum | mi.Float | None]:
         """(transmittance, :attr:`Sight.passing`) of a distance along a ray in a medium."""
         tracked = track(media, medium, ray, distance, keys_of_ray(ray), active) if media.heterogeneous else None
         distance = dr.minimum(distance, FAR)

@@ -46,7 +46,7 @@ class SubPath:
 
     active: mi.Bool
     ray: mi.Ray3f  #: the next edge
-    throughput: mi.Color3f
+    throughput: mi.Spectrum
     eta: mi.Float | None  #: product of the relative indices of refraction; None for light sub-paths
     depth: mi.UInt32  #: number of edges, including the next one; null surfaces count unless they bound a medium
     travelled: mi.Float  #: length of the next edge up to the last null surface that it has crossed
@@ -59,7 +59,7 @@ class SubPath:
     #: likely way; None unless it is recorded what is seen in them.
     through: mi.Bool | None = None
 
-    def components_of(self, values: Sequence[mi.Color3f]) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
+    def components_of(self, values: Sequence[mi.Spectrum]) -> list[tuple[mi.UInt32 | None, mi.Spectrum]]:
         """(component, light) that the vertex at the end of the edge reflects. ``values``: all light as one value; with
         ``seen``, one value for each of ``film.REFLECTED``, for an eye that sees the vertex directly."""
         if self.seen is None:
@@ -82,7 +82,7 @@ class MapEnd:
     reached: mi.Bool
     position: mi.Point3f
     normal: mi.Normal3f  #: geometric, on the side of the path
-    throughput: mi.Color3f  #: including the albedo
+    throughput: mi.Spectrum  #: including the albedo
     depth: mi.UInt32  #: edges of the path up to there, one more if the end depends on a choice at the last vertex
     scatterings: mi.UInt32  #: of the path so far, by surfaces other than mirrors, glass and null surfaces
     #: For maps that reflect particles by their directions: the last edge, and lanes whose throughput does not include
@@ -93,7 +93,7 @@ class MapEnd:
     @classmethod
     def none(cls, by_directions: bool = False) -> MapEnd:
         """Before the first edge."""
-        end = cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.UInt32(0), mi.UInt32(0))
+        end = cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Spectrum(0.0), mi.UInt32(0), mi.UInt32(0))
         if by_directions:
             end.ray, end.by_directions = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)), mi.Bool(False)
         return end
@@ -103,12 +103,12 @@ class MapEnd:
 class CameraPath(SubPath):
     """State of a camera path that finds lights by hits and light points."""
 
-    radiance: mi.Color3f  #: sum of the contributions
+    radiance: mi.Spectrum  #: sum of the contributions
     pdf: mi.Float  #: solid-angle density of the next edge's direction; 0 where only a hit can find a light
     end: MapEnd | None = None  #: where the path ends in a map, if paths do
-    by_component: list[mi.Color3f] = field(default_factory=list)  #: ``radiance`` by component; empty without ``seen``
+    by_component: list[mi.Spectrum] = field(default_factory=list)  #: ``radiance`` by component; empty without ``seen``
 
-    def add(self, value: mi.Color3f, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
+    def add(self, value: mi.Spectrum, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
         """Add a contribution. ``component``: ``seen`` for a light at the end of the edge, :attr:`lit` for a light point
         sampled at the vertex there."""
         self.radiance[active] += value
@@ -118,7 +118,7 @@ class CameraPath(SubPath):
             elif component == number:
                 part[active] += value
 
-    def weigh(self, importance: mi.Color3f) -> None:
+    def weigh(self, importance: mi.Spectrum) -> None:
         """Multiply all that was found by the weight of the camera ray."""
         self.radiance = self.radiance * importance
         self.by_component = [part * importance for part in self.by_component]
@@ -129,12 +129,12 @@ class CameraPath(SubPath):
         fields = {
             "active": max_edges > 0,
             "ray": mi.Ray3f(ray),
-            "throughput": mi.Color3f(1.0),
+            "throughput": mi.Spectrum(1.0),
             "eta": mi.Float(1.0),
             "depth": mi.UInt32(1),
             "travelled": mi.Float(0.0),
             "rays": mi.UInt32(0),
-            "radiance": mi.Color3f(0.0),
+            "radiance": mi.Spectrum(0.0),
             "pdf": mi.Float(0.0),
         }
         return cls(**fields | own)
@@ -143,7 +143,7 @@ class CameraPath(SubPath):
 def component_fields() -> dict[str, Any]:
     """Additional fields for :meth:`CameraPath.start` if the contributions of a camera path are kept by component."""
     # Opaque, because Dr.Jit fails on literal zeros in a loop if no material of the scene adds to them.
-    parts = [mi.Color3f(dr.opaque(mi.Float, 0.0)) for _ in COMPONENTS]
+    parts = [mi.Spectrum(dr.opaque(mi.Float, 0.0)) for _ in COMPONENTS]
     return {"seen": mi.UInt32(Component.EMISSION), "by_component": parts}
 
 
@@ -155,7 +155,7 @@ V = TypeVar("V")
 class Emission:
     """Emission at the end of an edge, one lane each. Densities include the choice of the light."""
 
-    radiance: mi.Color3f
+    radiance: mi.Spectrum
     area_density: mi.Float  #: of the point under next event at the edge's start; of the direction for infinite lights
     emission_density: mi.Float  #: of point and direction under emission
     direct_pdf: mi.Float  #: solid-angle density under next event at the edge's start
@@ -312,7 +312,7 @@ class Walker:
         f: Evaluated,
         weights: DirectWeights,
         wanted: mi.Bool | bool = True,
-    ) -> tuple[mi.Color3f, mi.Bool]:
+    ) -> tuple[mi.Spectrum, mi.Bool]:
         """(throughput times BSDF times radiance over density, times weight and transmittance; whether the light point
         is visible).
         No shadow ray is cast where the contribution is zero or not ``wanted``."""
@@ -353,7 +353,7 @@ class Walker:
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+        roulette_by: tuple[mi.Spectrum, mi.Float] | None = None,
     ) -> mi.Float:
         """Leave a vertex in the sampled direction, and play Russian roulette. Returns roulette's factor on the
         throughput.

@@ -223,7 +223,8 @@ def held_back(problem: Problem, before: Pose, after: Pose) -> Pose:
         return after
     ends = mi.Point3f(*before.origin.tolist()), mi.Vector3f(*(way / length).tolist()), mi.Float(length)
     dr.make_opaque(ends)  # as literals they would make a kernel for each movement
-    ray = mi.Ray3f(*ends, 0.0, [])
+    ray = mi.Ray3f(*ends[:2])
+    ray.maxt = ends[2]
     return before if bool(np.asarray(problem.scene.ray_test(ray)).ravel()[0]) else after
 
 

@@ -192,7 +192,7 @@ class AdaptivePath(EndsInMap):
 
     def _mapped(
         self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool
-    ) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
+    ) -> list[tuple[mi.UInt32 | None, mi.Spectrum]]:
         """(component, reflected radiance) at a vertex by density estimation."""
         assert self._maps is not None
         limit = self._limit * self._discs.share(vertex.position)
@@ -203,7 +203,7 @@ class AdaptivePath(EndsInMap):
 def _count(
     s: NumberedPath,
     source: NumberedSource,
-    contribution: mi.Color3f,
+    contribution: mi.Spectrum,
     active: mi.Bool,
     component: mi.UInt32 | int | None,
     by_light_point: bool,

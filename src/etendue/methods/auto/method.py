@@ -123,6 +123,7 @@ class Auto(Carrying, ImageMethod):
     citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", "Su2022", "Zirr2018", *Path.citations, *Vcm.citations)
     carries_on: ClassVar[bool] = True
     media: ClassVar[str | None] = "scattering"
+    spectral: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. The first pass with light paths prepares what only such passes need."""
@@ -271,6 +272,7 @@ class Auto(Carrying, ImageMethod):
         vcm.use(counts)
         vcm.widening = widening or self._trial.factor
         vcm._hits = self._hits
+        vcm.take_wavelengths(iteration, seed)
         return vcm.render_pass(iteration, seed, samples)
 
     def _tracing(self) -> Trace:

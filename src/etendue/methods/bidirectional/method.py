@@ -76,6 +76,7 @@ class Bidirectional(Carrying, ImageMethod):
         "Krivanek2014",
     )
     media: ClassVar[str | None] = "scattering"
+    spectral: ClassVar[bool] = True
     #: Estimates of the second moments of the next passes, if wanted; cleared at the beginning of a pass. If it is set
     #: before :meth:`prepare`, the pilot uses the same kernels as these passes.
     moments: Moments | None = None
@@ -106,7 +107,9 @@ class Bidirectional(Carrying, ImageMethod):
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
-        self.lights = through_openings(self, seed) if self.opened is None else self.opened
+        self.lights = (
+            through_openings(self, seed) if self.opened is None else self.opened.at_wavelengths_of(self.packet)
+        )
         self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
         s = self.settings
         self.techniques = Techniques(
@@ -258,10 +261,10 @@ class Bidirectional(Carrying, ImageMethod):
         radius = self._radius_of(iteration)
         splats = self._splats(seed, iteration)
         s = self.settings
-        pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
+        pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels, self.packet) if s.pyramid else None
         if self.moments:
             self.moments.clear()
-        parts: list[dict[str, mi.Color3f]] = []
+        parts: list[dict[str, mi.Spectrum]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light = Lanes(0, self._paths).part(index, self._groups)
@@ -304,7 +307,7 @@ class Bidirectional(Carrying, ImageMethod):
             candidates = [candidate.counts(unit, self.camera.pixels) for candidate in moments.candidates]
         return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration), candidates)
 
-    def _trace(self, run: Group) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
+    def _trace(self, run: Group) -> tuple[dict[str, mi.Spectrum], dict[str, float]]:
         """Trace light paths, then camera paths. Kernels are queued without waiting, so that one runs while Python
         traces the next. Returns (radiance by technique family, one lane a camera path; counters)."""
         paths = run.light.count

@@ -94,7 +94,7 @@ class SplatList(Sink):
             return dr.gather(mi.Float, self.array, self._lane + (self._rows * slot + index) * self._lanes)
 
         found = [
-            Contribution(mi.Point2f(row(i, 0), row(i, 1)), mi.Color3f(row(i, 2), row(i, 3), row(i, 4)))
+            Contribution(mi.Point2f(row(i, 0), row(i, 1)), mi.Spectrum(row(i, 2), row(i, 3), row(i, 4)))
             for i in range(self.count + 1)
         ]
         if not self.components:

@@ -69,7 +69,7 @@ class FilmTarget:
         """See :class:`Target`."""
         return True
 
-    def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Color3f, mi.UInt32]:
+    def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Spectrum, mi.UInt32]:
         """(place, light that the chains leave out times the area of the film, rays)."""
         place = self.place(source)
         ray, importance = self._primary(place, source)
@@ -79,20 +79,20 @@ class FilmTarget:
             radiance, rays = self._seen(ray)
         return place, radiance * importance, rays
 
-    def _primary(self, place: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f]:
+    def _primary(self, place: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Spectrum]:
         """(camera ray, factor on its radiance, with the area of the film)."""
         ray, importance, _ = self._method.camera.through(place, source)
         return ray, importance * dr.opaque(mi.Float, (1.0 + 2.0 * self._method.margin) ** 2)
 
     def _radiance(
         self, ray: mi.Ray3f, source: SampleSource, weights: DirectWeights, active: mi.Bool | bool = True, **own: Any
-    ) -> tuple[mi.Color3f, mi.UInt32]:
+    ) -> tuple[mi.Spectrum, mi.UInt32]:
         """(radiance of a path, rays). ``own``: other initial values."""
         walker = self._method.walker(Walker, proposal=self._method.settings.proposal)
         path = traced(ray, walker, weights, source, active=(walker.max_edges > 0) & active, **own)
         return path.radiance, path.rays
 
-    def _seen(self, ray: mi.Ray3f) -> tuple[mi.Color3f, mi.UInt32]:
+    def _seen(self, ray: mi.Ray3f) -> tuple[mi.Spectrum, mi.UInt32]:
         """(light that is seen directly, through null surfaces as well, rays)."""
         walker = self._method.walker(Walker)
 

@@ -187,7 +187,7 @@ class FilmMetropolis(MetropolisMethod):
 
     def _run(self, iteration: int, seed: int, steps: int) -> PassResult:
         """See :class:`MetropolisMethod`. Samples are kept, and nothing is splatted."""
-        self._found: list[tuple[bool, mi.Point2f, mi.Color3f]] = []
+        self._found: list[tuple[bool, mi.Point2f, mi.Spectrum]] = []
 
         def record(independent: bool, contributions: Sequence[Contribution], weight: mi.Float) -> None:
             for one in contributions:
@@ -253,7 +253,7 @@ class FilmMetropolis(MetropolisMethod):
         rows[:, 2:] *= count / lanes
         return rows
 
-    def _rows(self, place: mi.Point2f, value: mi.Color3f) -> Rows:
+    def _rows(self, place: mi.Point2f, value: mi.Spectrum) -> Rows:
         rows = np.empty((dr.width(place), FILM_COLUMNS), np.float32)
         rows[:, 0] = np.array(place.x) / self.camera.width
         rows[:, 1] = np.array(place.y) / self.camera.height

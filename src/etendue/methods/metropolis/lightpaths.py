@@ -50,7 +50,7 @@ class End:
 
     ray: mi.Ray3f
     hit: mi.PreliminaryIntersection3f
-    flux: mi.Color3f  #: that arrives; zero where the edge has no end
+    flux: mi.Spectrum  #: that arrives; zero where the edge has no end
     bad: mi.Bool  #: whether the flux was not finite
 
 
@@ -157,7 +157,7 @@ class LightPaths:
         self,
         ray: mi.Ray3f,
         hit: mi.PreliminaryIntersection3f,
-        flux: mi.Color3f,
+        flux: mi.Spectrum,
         numbers: Sequence[mi.Float],
         active: mi.Bool,
     ) -> End:
@@ -168,10 +168,10 @@ class LightPaths:
         self,
         ray: mi.Ray3f,
         hit: mi.PreliminaryIntersection3f,
-        flux: mi.Color3f,
+        flux: mi.Spectrum,
         numbers: Sequence[mi.Float],
         active: mi.Bool,
-    ) -> tuple[mi.Ray3f, mi.Color3f, mi.Bool, mi.Bool]:
+    ) -> tuple[mi.Ray3f, mi.Spectrum, mi.Bool, mi.Bool]:
         """(ray, flux, whether there is one, whether it has crossed a null surface) after the hit of a ray."""
         si = hit.compute_surface_interaction(ray, active=active)
         vertex = Vertex(si=si, bsdf=Material(si.bsdf(ray), self._bsdfs))
@@ -179,7 +179,7 @@ class LightPaths:
         scattered, _ = self.proposal(vertex.bsdf, si, source, mi.UInt32(0), active)
         return vertex.ray(scattered.direction), flux * scattered.weight, scattered.active, scattered.is_null
 
-    def cast(self, ray: mi.Ray3f, flux: mi.Color3f, active: mi.Bool) -> End:
+    def cast(self, ray: mi.Ray3f, flux: mi.Spectrum, active: mi.Bool) -> End:
         """The end of an edge."""
         hit = self.scene.ray_intersect_preliminary(ray, active=active)
         finite = dr.all(dr.isfinite(flux))

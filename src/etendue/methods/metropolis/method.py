@@ -21,6 +21,7 @@ from etendue.core import (
     Record,
     Result,
     State,
+    Weight,
     copied_to_device,
     free_memory,
     logger,
@@ -221,7 +222,7 @@ class MetropolisMethod(Carrying, ImageMethod):
                 parts = halves_as_layers(halves, name)
                 layers |= parts if self.settings.aovs else {name: parts[name]}
         sums = {name: layer * samples for name, layer in layers.items()}
-        weights = dict.fromkeys(sums, samples)
+        weights: dict[str, Weight] = dict.fromkeys(sums, samples)
         if self.settings.aovs:
             first, bad = self.first_layers(iteration, seed, self.samples_per_iteration)
             sums |= {name: layer.astype(np.float64) for name, layer in first.items()}
@@ -344,7 +345,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         states = ChainStates(
             {name: copied_to_device(mi.Float, values) for name, values in numbers.items()},
             [
-                Contribution(mi.Point2f(*floats(place)), mi.Color3f(*floats(value)), one.component)
+                Contribution(mi.Point2f(*floats(place)), mi.Spectrum(*floats(value)), one.component)
                 for place, value, one in zip(
                     state["places"], state["values"], self._carried.states.contributions, strict=True
                 )

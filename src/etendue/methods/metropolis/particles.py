@@ -42,7 +42,7 @@ from etendue.core import (
 )
 from etendue.integration import ChainDiagnosis, diagnose
 from etendue.particles import Particles, Rows, Surfaces, SurfaceTable, columns_of
-from etendue.scene import LightTable, Problem
+from etendue.scene import LightTable, Problem, require_rgb
 from etendue.transport import scatter_light, scatter_light_uniform
 
 from .lightpaths import Independent, LightPaths, PathNumbers
@@ -153,6 +153,7 @@ class MetropolisParticles(Carrying, Method):
                 f"a pass of {o.chains} chains with {o.steps} steps needs {needed / 1e6:.0f} MB, too much for the "
                 "memory or for 32-bit numbers; lower steps (more passes do the same) or chains"
             )
+        require_rgb("particles")
         self.problem, self.scene = problem, problem.scene
         proposal = scatter_light if o.bsdf_sampling else scatter_light_uniform
         self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces, proposal)
@@ -364,7 +365,7 @@ class _RowMaker:
             smooth_inside = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
             primitive = dr.gather(mi.UInt32, self._first, inner) + dr.select(is_mesh, primitive, 0)
         repeats = dr.gather(mi.UInt32, walked.counts, slot)
-        colour = mi.Color3f(flux.x, flux.y, flux.z)
+        colour = mi.Spectrum(flux.x, flux.y, flux.z)
         colour *= mi.Float(repeats) / mi.luminance(colour)
         whole = {
             "shape": dr.select(instance != 0, instance, shape),

@@ -66,10 +66,10 @@ class _Trail:
     @classmethod
     def of(cls, edges: int) -> _Trail:
         """Empty."""
-        kinds = (mi.Point3f, mi.Vector3f, mi.Vector3f, mi.Vector4u, mi.Color3f, mi.UInt32, mi.Point3f)
+        kinds = (mi.Point3f, mi.Vector3f, mi.Vector3f, mi.Vector4u, mi.Spectrum, mi.UInt32, mi.Point3f)
         return cls(*(dr.alloc_local(kind, edges, value=dr.zeros(kind)) for kind in kinds))
 
-    def read(self, edge: mi.UInt32, active: mi.Bool) -> tuple[mi.Ray3f, mi.PreliminaryIntersection3f, mi.Color3f]:
+    def read(self, edge: mi.UInt32, active: mi.Bool) -> tuple[mi.Ray3f, mi.PreliminaryIntersection3f, mi.Spectrum]:
         """(ray, hit, flux) of an edge, counted from 0."""
         ray = mi.Ray3f(self.origin.read(edge, active), self.direction.read(edge, active))
         hit = dr.zeros(mi.PreliminaryIntersection3f)

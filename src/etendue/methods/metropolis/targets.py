@@ -28,7 +28,7 @@ class Contribution:
     """A contribution to the film, one lane a path."""
 
     position: mi.Point2f  #: on the film, in pixels
-    value: mi.Color3f  #: as the radiance of a camera path that is uniform on the film; 0 where there is none
+    value: mi.Spectrum  #: as the radiance of a camera path that is uniform on the film; 0 where there is none
     component: int = 0  #: ``film.Component``, the same in all lanes; 0 where components are not kept apart
 
     def where(self, mask: mi.Bool, other: Contribution) -> Contribution:

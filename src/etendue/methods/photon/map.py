@@ -107,7 +107,7 @@ class Pm(PhotonMapping):
         dr.scatter(destination, place, dr.gather(mi.UInt32, tree.order, place))
         return _Map(tree, shot.vertices.sorted_by(destination, mask))
 
-    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Spectrum], mi.UInt32]:
         """See :class:`PhotonMapping`."""
         here, beyond = (active & ~s.beyond, active & s.beyond) if self.final_gather else (active, active)
         caustic, _ = self._nearest(self._caustic, s, vertex, self.peaks, here)
@@ -116,7 +116,7 @@ class Pm(PhotonMapping):
 
     def _nearest(
         self, photon_map: _Map, s: GatherPath, vertex: WalkVertex, peaks: Peaks | None, active: mi.Bool
-    ) -> tuple[list[mi.Color3f], mi.UInt32]:
+    ) -> tuple[list[mi.Spectrum], mi.UInt32]:
         """(radiance as :meth:`gather` returns it, photons) from the nearest photons of one map."""
         tree, photons, si = photon_map.tree, photon_map.photons, vertex.si
         most = self._limit * self._discs.share(si.p)
@@ -125,8 +125,8 @@ class Pm(PhotonMapping):
         rim = dr.select(limit < most, limit * _INSIDE, dr.inf)
 
         def visit(
-            photon: mi.UInt32, _: mi.Float, state: tuple[list[mi.Color3f], mi.UInt32]
-        ) -> tuple[list[mi.Color3f], mi.UInt32]:
+            photon: mi.UInt32, _: mi.Float, state: tuple[list[mi.Spectrum], mi.UInt32]
+        ) -> tuple[list[mi.Spectrum], mi.UInt32]:
             flux, found = state
             position, depth = photons.position(photon, active)
             allowed = (depth + s.depth <= self.edges) & (dr.squared_norm(position - si.p) < rim)

@@ -120,7 +120,7 @@ class PhotonMapping(ImageMethod):
         """Prepare the photons of a pass for :meth:`gather`."""
 
     @abstractmethod
-    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Spectrum], mi.UInt32]:
         """(reflected radiance at a vertex by density estimation, one value, or with ``components`` one for each
         of ``film.REFLECTED``; number of photons found)."""
 
@@ -178,7 +178,7 @@ class PhotonMapping(ImageMethod):
             ray,
             walker.max_edges,
             **self.path_fields(),
-            radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),  # not literal, for scenes without smooth surfaces
+            radiance=mi.Spectrum(dr.opaque(mi.Float, 0.0)),  # not literal, for scenes without smooth surfaces
             beyond=mi.Bool(False),
             found=mi.UInt32(0),
             first=mi.Bool(True),

@@ -134,7 +134,7 @@ def reflected_by(
     active: mi.Bool,
     peaks: Peaks | None = None,
     in_media: bool = False,
-) -> mi.Color3f:
+) -> mi.Spectrum:
     """Contribution of one photon to the reflected radiance, times ``N pi r^2``; ``limit``: r^2; ``peaks``: leaves out
     what camera paths find; None: all light. ``in_media``: photons are in media, and their contribution is
     times ``N 4/3 pi r^3``."""
@@ -153,14 +153,14 @@ def reflected_by(
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 
-def no_light(by_kind: bool) -> list[mi.Color3f]:
+def no_light(by_kind: bool) -> list[mi.Spectrum]:
     """Zero sums for :func:`add_by_kind`: one of all light, or with ``by_kind`` one for each of ``film.REFLECTED``."""
-    return [mi.Color3f(0.0) for _ in (REFLECTED if by_kind else "1")]
+    return [mi.Spectrum(0.0) for _ in (REFLECTED if by_kind else "1")]
 
 
 def add_by_kind(
-    sums: list[mi.Color3f], value: mi.Color3f, photons: Photons, photon: mi.UInt32, active: mi.Bool
-) -> list[mi.Color3f]:
+    sums: list[mi.Spectrum], value: mi.Spectrum, photons: Photons, photon: mi.UInt32, active: mi.Bool
+) -> list[mi.Spectrum]:
     """The sums with the light of a photon added."""
     if len(sums) == 1:
         return [sums[0] + value]
@@ -173,7 +173,7 @@ def record_merge(
     vertex: WalkVertex,
     photons: Photons,
     photon: mi.UInt32,
-    value: mi.Color3f,
+    value: mi.Spectrum,
     active: mi.Bool,
 ) -> None:
     """Record that a photon contributes ``value`` at a vertex, if rays are recorded."""
@@ -220,12 +220,12 @@ class PhotonGrid:
 
     def reflected(
         self, vertex: WalkVertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
-    ) -> tuple[list[mi.Color3f], mi.UInt32]:
+    ) -> tuple[list[mi.Spectrum], mi.UInt32]:
         """(reflected radiance at a vertex, or with ``by_kind`` that of each of ``film.REFLECTED``; number of photons
         that contribute to it), from the photons with a depth of at most ``edges`` within a squared radius ``limit``."""
         photons, in_media = self._gather.photons, self._gather.in_media
 
-        def visit(photon: mi.UInt32, state: tuple[list[mi.Color3f], mi.UInt32]) -> tuple[list[mi.Color3f], mi.UInt32]:
+        def visit(photon: mi.UInt32, state: tuple[list[mi.Spectrum], mi.UInt32]) -> tuple[list[mi.Spectrum], mi.UInt32]:
             flux, found = state
             value = reflected_by(photons, photon, vertex, limit, self._kernel, active, self._peaks, in_media)
             record_merge(self._recorder, vertex, photons, photon, value, active)

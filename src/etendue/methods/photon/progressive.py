@@ -87,6 +87,7 @@ class Sppm(Carrying, PhotonMapping):
     citations: ClassVar[tuple[str, ...]] = ("Hachisuka2009", "Hachisuka2008", "Jensen1996", "JensenChristensen1998")
     carries_on: ClassVar[bool] = True
     media: ClassVar[str | None] = "scattering"
+    spectral: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`PhotonMapping`. The first radii are equal, or found from the nearest photons."""
@@ -149,7 +150,7 @@ class Sppm(Carrying, PhotonMapping):
             self._ball = dr.opaque(mi.Float, ball**2)
             self._in_media = PhotonGrid(shot, positions, held, ball, self._box, *own, self.visibility.media)
 
-    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Spectrum], mi.UInt32]:
         """See :class:`PhotonMapping`."""
         share, in_medium = self._discs.share(vertex.position), vertex.bsdf.in_medium
         if in_medium is not None:

@@ -43,7 +43,8 @@ def lamps_in_surfaces(scene: mi.Scene) -> list[tuple[mi.Emitter, mi.Shape]]:
     start = (place[:, None] - reach * along).reshape(-1, 3)
     numbers = np.column_stack([start, np.tile(along, (len(place), 1)), np.repeat(2.0 * reach.ravel(), len(along))])
     x, y, z, dx, dy, dz, most = (copied_to_device(mi.Float, column) for column in numbers.astype(np.float32).T)
-    ray = mi.Ray3f(mi.Point3f(x, y, z), mi.Vector3f(dx, dy, dz), most, 0.0, mi.Color0f())
+    ray = mi.Ray3f(mi.Point3f(x, y, z), mi.Vector3f(dx, dy, dz))
+    ray.maxt = most
     hit = scene.ray_intersect_preliminary(ray)
     met, instance = (dr.reinterpret_array(mi.UInt32, s) for s in (hit.shape, hit.instance))
     met = dr.select(instance != 0, instance, met)  # an instance hides as a whole

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..graph import as_array, contents, plugin_name
+from ..packet import spread_wavelengths
 
 #: Shapes that sample points uniformly by an invertible map of the unit square. All other lights are meshes.
 SURFACES = ("rectangle", "disk", "sphere", "cylinder")
@@ -116,7 +117,7 @@ def surface_point(
 
 def uniform_point(shape: mi.Shape, u: mi.Point2f, active: mi.Bool | bool = True) -> mi.SurfaceInteraction3f:
     """The point of a shape that ``u`` samples uniformly by area."""
-    si = mi.SurfaceInteraction3f(shape.sample_position(0.0, u, active), dr.zeros(mi.Color0f))
+    si = mi.SurfaceInteraction3f(shape.sample_position(0.0, u, active), spread_wavelengths())
     if plugin_name(shape) == "sphere":  # Mitsuba 3.9 does not rotate the normal with the sphere
         si.n = dr.normalize(dict(contents(shape).values)["to_world"] @ mi.Vector3f(si.n))
     return si
@@ -221,8 +222,8 @@ def _of_mesh(emitter: mi.Emitter, shape: mi.Shape, texture: mi.Texture) -> Radia
 
 def _along_normal(emitter: mi.Emitter, si: mi.SurfaceInteraction3f) -> mi.Float:
     """Radiance along the normals of points, mean over the channels."""
-    si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return dr.sum(emitter.eval(si)) / 3.0 + dr.zeros(mi.Float, dr.width(si.p))
+    si.wi, si.wavelengths = mi.Vector3f(0.0, 0.0, 1.0), spread_wavelengths()
+    return dr.sum(emitter.eval(si)) / float(dr.size_v(mi.Spectrum)) + dr.zeros(mi.Float, dr.width(si.p))
 
 
 def _texels(texture: mi.Texture | None) -> tuple[float, float] | None:

@@ -39,6 +39,7 @@ from etendue.density import LineDensity
 
 from ..graph import as_array, contents, plugin_name
 from ..members import Members
+from ..packet import Packet, is_spectral, spread_wavelengths
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .places import Groups, Lamp, LightsAt
 from .points import LightPoints
@@ -47,6 +48,8 @@ from .rays import own_ray
 
 #: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
+#: Packets of wavelengths at which a uniform area light is evaluated for its power.
+_WAVELENGTHS = 64
 #: Smallest probability of an emitter that is not known to be black, relative to an equal share.
 _LEAST_SHARE = 0.25
 
@@ -69,6 +72,7 @@ class Light:
     exponent: mi.Float | None  #: focus of an area emitter around its normal; None if no light of the scene has one
     #: Centre and radius of a spherical area emitter, radius 0 for others; None if no light of the scene is spherical.
     sphere: mi.Vector4f | None
+    packet: Packet  #: the wavelengths of emitted light
 
     def call(self, kind: str, function: Callable[..., Any], *arguments: Any, active: mi.Bool) -> Any:
         """``function(emitter, *arguments, active)`` of the emitter, zero where it is of another kind. There must be
@@ -77,15 +81,15 @@ class Light:
 
     def sample_direction(
         self, kind: str, it: mi.Interaction3f, u: mi.Point2f, active: mi.Bool
-    ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
+    ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """The emitter's own ``sample_direction``; arguments as of :meth:`call`."""
         ds, weight = self.call(kind, mi.Emitter.sample_direction, it, u, active=active)
         return ds, weight
 
-    def radiance(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
+    def radiance(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Spectrum:
         """Radiance that the emitter sends from ``si`` into the direction ``si.wi``."""
         if not self.emitters["visible"]:
-            return mi.Color3f(0.0)
+            return mi.Spectrum(0.0)
         return self.call("visible", mi.Emitter.eval, si, active=active)
 
     def direction_pdf(self, cos: mi.Float) -> mi.Float:
@@ -104,7 +108,9 @@ class Light:
 class LightTable:
     """Emitters of a scene as device arrays, looked up by picking one or by the emitter pointer of a hit."""
 
-    def __init__(self, scene: mi.Scene) -> None:
+    def __init__(self, scene: mi.Scene, packet: Packet | None = None) -> None:
+        #: The wavelengths of emitted light.
+        self.packet = packet or Packet()
         emitters = scene.emitters()
         if not emitters:
             raise SceneError("the scene has no emitter, so every picture would be black; add a light source")
@@ -118,7 +124,7 @@ class LightTable:
         #: The same on the device, (x, y, z, R), and :attr:`total_power`.
         self.bound = on_device(mi.Vector4f, [*self.centre, self.radius])
 
-        rows = [_describe(e, self.radius) for e in emitters]
+        rows = [_describe(e, sphere) for e in emitters]
         self.has_area, self.has_point, self.has_infinite, self.has_beam = (
             any(r.kind == kind for r in rows) for kind in _KINDS
         )
@@ -212,6 +218,12 @@ class LightTable:
         table.lines = lines, dr.opaque(mi.Float, share)
         return table
 
+    def at_wavelengths_of(self, packet: Packet) -> LightTable:
+        """The same lights at the wavelengths of another packet."""
+        table = copy.copy(self)
+        table.packet = packet
+        return table
+
     def _fluxes(self, emitted: Array) -> Array:
         """(count,) mean flux of the rays that the lights emit."""
         known = (self.powers > 0.0) & (emitted > 0.0)
@@ -266,6 +278,7 @@ class LightTable:
             is_beam=kind == _KINDS.index("beam"),
             exponent=None if self._exponent is None else dr.gather(mi.Float, self._exponent, row, active),
             sphere=None if self._sphere is None else dr.gather(mi.Vector4f, self._sphere, row, active),
+            packet=self.packet,
         )
 
 
@@ -339,13 +352,15 @@ class _Row:
         return Lamp(0.0 if self.kind == "beam" else power, centre, extent)
 
 
-def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
+def _describe(emitter: mi.Emitter, bound: mi.BoundingSphere3f) -> _Row:
     flags = emitter.flags()
     name = emitter.id() or emitter.class_name()
     weight = emitter.sampling_weight()
     one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
-        return _Row(name, "infinite", _power(emitter), weight, 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
+        disc = np.pi * float(np.asarray(bound.radius).ravel()[0]) ** 2
+        power = _power_through(emitter, bound.center, disc) if is_spectral() else _power(emitter)
+        return _Row(name, "infinite", power, weight, 1.0 / disc, is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         projects = "irradiance" in mi.traverse(emitter)
         density = _cone_density(emitter)
@@ -375,14 +390,24 @@ def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:
 def _power(emitter: mi.Emitter) -> float:
     """Emitted power, the mean weight of emitted rays, averaged over the colour channels."""
     u = _weyl(_POWER_SAMPLES)
-    _, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
+    wavelengths = spread_wavelengths(_POWER_SAMPLES)
+    _, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), wavelengths)
     return float(np.asarray(weight, dtype=np.float64).mean())
+
+
+def _power_through(emitter: mi.Emitter, centre: mi.Point3f, disc: float) -> float:
+    """Power of an infinite emitter through discs of an area around a point."""
+    at = dr.zeros(mi.Interaction3f, _POWER_SAMPLES)
+    at.p, at.wavelengths = mi.Point3f(centre), spread_wavelengths(_POWER_SAMPLES)
+    _, irradiance = emitter.sample_direction(at, mi.Point2f(*_weyl(_POWER_SAMPLES)[:2]))
+    return disc * float(np.asarray(irradiance, dtype=np.float64).mean())
 
 
 def _radiance(emitter: mi.Emitter) -> float:
     """Radiance of a uniform area light along its normal, mean over the colour channels."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    si.wavelengths = spread_wavelengths(_WAVELENGTHS)
     return float(np.asarray(emitter.eval(si), dtype=np.float64).mean())
 
 
@@ -399,7 +424,7 @@ def _cone_density(emitter: mi.Emitter) -> float:
         cosine = np.cos(np.deg2rad(float(np.asarray(parameters["cutoff_angle"]).ravel()[0])))
     elif "irradiance" in parameters:
         u = _weyl(_POWER_SAMPLES)
-        ray, _ = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
+        ray, _ = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), spread_wavelengths())
         axis = np.asarray(parameters["to_world"].matrix, np.float64).reshape(4, 4)[:3, 2]
         cosine = float((axis / np.linalg.norm(axis) @ np.asarray(ray.d, np.float64)).min())
     else:

@@ -57,7 +57,7 @@ def composed_bsdf(f: Integrand) -> mi.BSDF:
             sample1: mi.Float,
             sample2: mi.Point2f,
             active: mi.Bool | bool = True,
-        ) -> tuple[mi.BSDFSample3f, mi.Color3f]:
+        ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
             bs = mi.BSDFSample3f()
             bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
             bs.eta = 1.0
@@ -68,13 +68,13 @@ def composed_bsdf(f: Integrand) -> mi.BSDF:
 
         def eval_pdf(
             self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> tuple[mi.Color3f, mi.Float]:
+        ) -> tuple[mi.Spectrum, mi.Float]:
             cos = mi.Frame3f.cos_theta(wo)
             active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (cos > 0.0)
             active &= ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0)
             # In Mitsuba light comes from `wo`, since paths begin at the eye.
             found = f.parts(f.evaluate([*si.uv, *wo, *si.wi]))
-            value = mi.Color3f(*found) if f.values == 3 else mi.Color3f(mi.Float(found[0]))
+            value = mi.Spectrum(*found) if f.values == 3 else mi.Spectrum(mi.Float(found[0]))
             return value * cos & active, cos * dr.inv_pi & active
 
         def to_string(self) -> str:

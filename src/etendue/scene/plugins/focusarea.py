@@ -50,7 +50,7 @@ def make_focusarea() -> type:
             lit = (0.5 * self.exponent + 1.0) * dr.power(dr.maximum(cos, 0.0), self.exponent)
             return dr.select(cos > 0.0, lit, 0.0)
 
-        def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
+        def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
             return self.radiance.eval(si, active) * self._focus(mi.Frame3f.cos_theta(si.wi))
 
         def sample_position(
@@ -83,7 +83,7 @@ def make_focusarea() -> type:
             sample2: mi.Point2f,
             sample3: mi.Point2f,
             active: mi.Bool | bool = True,
-        ) -> tuple[mi.Ray3f, mi.Color3f]:
+        ) -> tuple[mi.Ray3f, mi.Spectrum]:
             ps, weight = self.sample_position(time, sample2, active)
             si = mi.SurfaceInteraction3f(ps, dr.zeros(mi.Color0f))
             si.time = time
@@ -93,10 +93,10 @@ def make_focusarea() -> type:
 
         def sample_direction(
             self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool | bool = True
-        ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
+        ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
             shape = self.get_shape()
             if shape is None:
-                return dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0)
+                return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0.0)
             if self.radiance.is_spatially_varying():
                 si, area_pdf = self._sample_texture(shape, sample, active)
                 ds = dr.zeros(mi.DirectionSample3f)
@@ -130,13 +130,13 @@ def make_focusarea() -> type:
 
         def eval_direction(
             self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Bool | bool = True
-        ) -> mi.Color3f:
+        ) -> mi.Spectrum:
             si = mi.SurfaceInteraction3f(ds, it.wavelengths)
             return self.radiance.eval(si, active) * self._focus(-dr.dot(ds.d, ds.n))
 
         def sample_wavelengths(
             self, si: mi.SurfaceInteraction3f, sample: mi.Float, active: mi.Bool | bool = True
-        ) -> tuple[mi.Color0f, mi.Color3f]:
+        ) -> tuple[mi.Color0f, mi.Spectrum]:
             return dr.zeros(mi.Color0f), self.radiance.eval(si, active)
 
         def bbox(self) -> mi.ScalarBoundingBox3f:

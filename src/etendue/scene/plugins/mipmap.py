@@ -103,16 +103,16 @@ def make_mipmap() -> type:
             pair = self._sample(fine, uv, active), self._sample(coarse, uv, active)
             return [a + share * (b - a) for a, b in zip(*pair, strict=True)]
 
-        def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
+        def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
             return self.eval_3(si, active)
 
-        def eval_3(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
+        def eval_3(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
             values = self._filtered(si, active)
-            return mi.Color3f(*values) if len(values) == 3 else mi.Color3f(values[0])
+            return mi.Spectrum(*values) if len(values) == 3 else mi.Spectrum(values[0])
 
         def eval_1(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Float:
             values = self._filtered(si, active)
-            return mi.luminance(mi.Color3f(*values)) if len(values) == 3 else values[0]
+            return mi.luminance(mi.Spectrum(*values)) if len(values) == 3 else values[0]
 
         def eval_1_grad(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Vector2f:
             return self.bitmap.eval_1_grad(si, active)

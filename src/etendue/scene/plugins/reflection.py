@@ -39,13 +39,13 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
             self.m_components = [diffuse, glossy]
             self.m_flags = diffuse | glossy
 
-        def _reflectances(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool) -> tuple[mi.Color3f, mi.Color3f]:
+        def _reflectances(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool) -> tuple[mi.Spectrum, mi.Spectrum]:
             """k_d and k_s, their sum at most 1 in every channel."""
             diffuse, specular = self.diffuse.eval(si, active), self.specular.eval(si, active)
             scale = dr.rcp(dr.maximum(diffuse + specular, 1.0))
             return diffuse * scale, specular * scale
 
-        def _lobe_share(self, ctx: mi.BSDFContext, diffuse: mi.Color3f, specular: mi.Color3f) -> mi.Float:
+        def _lobe_share(self, ctx: mi.BSDFContext, diffuse: mi.Spectrum, specular: mi.Spectrum) -> mi.Float:
             """Probability of sampling the lobe."""
             if not ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
                 return mi.Float(1.0)
@@ -59,12 +59,12 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
             ctx: mi.BSDFContext,
             si: mi.SurfaceInteraction3f,
             wo: mi.Vector3f,
-            reflectances: tuple[mi.Color3f, mi.Color3f],
+            reflectances: tuple[mi.Spectrum, mi.Spectrum],
             active: mi.Bool | bool,
-        ) -> tuple[mi.Color3f, mi.Float]:
+        ) -> tuple[mi.Spectrum, mi.Float]:
             """f cos and the density of sampling ``wo``; zero below the surface."""
             diffuse, specular = reflectances
-            value, pdf = mi.Color3f(0.0), mi.Float(0.0)
+            value, pdf = mi.Spectrum(0.0), mi.Float(0.0)
             cos = mi.Frame3f.cos_theta(wo)
             active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (cos > 0.0)
             share = self._lobe_share(ctx, diffuse, specular)
@@ -84,7 +84,7 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
             sample1: mi.Float,
             sample2: mi.Point2f,
             active: mi.Bool | bool = True,
-        ) -> tuple[mi.BSDFSample3f, mi.Color3f]:
+        ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
             reflectances = self._reflectances(si, active)
             share = self._lobe_share(ctx, *reflectances)
             of_lobe = sample1 < share
@@ -99,10 +99,10 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
 
         def eval_pdf(
             self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
-        ) -> tuple[mi.Color3f, mi.Float]:
+        ) -> tuple[mi.Spectrum, mi.Float]:
             return self._evaluate(ctx, si, wo, self._reflectances(si, active), active)
 
-        def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
+        def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
             return self._reflectances(si, active)[0]
 
         def traverse(self, callback: mi.TraversalCallback) -> None:

@@ -56,7 +56,7 @@ def make_spherical() -> type:
             sample2: mi.Point2f,
             sample3: mi.Point2f,
             active: mi.Bool | bool = True,
-        ) -> tuple[mi.Ray3f, mi.Color3f]:
+        ) -> tuple[mi.Ray3f, mi.Spectrum]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
             place = (self._offset + sample2 * self._window) / self._size
             sin_phi, cos_phi = dr.sincos(dr.two_pi * place.x)
@@ -69,7 +69,7 @@ def make_spherical() -> type:
 
         def sample_direction(
             self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool | bool = True
-        ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
+        ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
             """The film position of ``it`` in pixels of the crop window (``uv``), and the importance over the squared
             distance, for a film of unit size."""
             to_world = self.world_transform()
@@ -90,7 +90,7 @@ def make_spherical() -> type:
             ds.pdf = dr.select(active, mi.Float(1.0), 0.0)
             ratio = dr.prod(self._size) / dr.prod(self._window)
             density = ratio / (2.0 * dr.square(dr.pi) * dr.maximum(sin_theta, 1e-7))
-            return ds, mi.Color3f(dr.select(active, density / dr.square(ds.dist), 0.0))
+            return ds, mi.Spectrum(dr.select(active, density / dr.square(ds.dist), 0.0))
 
         def bbox(self) -> mi.ScalarBoundingBox3f:
             at = mi.ScalarPoint3f(np.asarray(self.world_transform().translation()).ravel().tolist())

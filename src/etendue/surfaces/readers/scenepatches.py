@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
-from etendue.scene import Problem, RenderSpace, graph, load, refuse_media, warn_of_steps
+from etendue.scene import Problem, RenderSpace, graph, load, refuse_media, require_rgb, warn_of_steps
 
 from ..errors import PatchError, SurfaceError
 from ..patches import Patches
@@ -47,6 +47,7 @@ def scene_patches(
     for materials that absorb nothing. A scene without emitter is valid, since form factors need no light.
     """
     use_variant()
+    require_rgb("patches of scenes")
     scene, space = loaded_scene(scene)
     if per not in ("face", "shape"):
         raise SurfaceError(f"a patch is made per 'face' or per 'shape', not {per!r}")

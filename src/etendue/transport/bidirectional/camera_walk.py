@@ -34,7 +34,7 @@ class _State(BidirectionalPath):
     """Loop state, one lane per camera sub-path."""
 
     lane: mi.UInt32  #: number of the camera path; does not change
-    layers: dict[str, mi.Color3f]  #: technique family -> radiance
+    layers: dict[str, mi.Spectrum]  #: technique family -> radiance
     worth: mi.Float | None  #: factor on contributions to its pixel in the training of a guide; None without
     sums: Sums | None  #: of ``moments``
     left: mi.Float | Linear | None  #: :meth:`Mis.left_out` at the vertex that the edge leaves
@@ -67,7 +67,7 @@ class CameraWalk(BidirectionalWalk):
 
     def trace(
         self, pixel: mi.UInt32, source: SampleSource, number: mi.UInt32 | None = None
-    ) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
+    ) -> tuple[dict[str, mi.Spectrum], mi.UInt32]:
         """Trace one camera path for each entry of ``pixel``. ``number``: of each path in the pass, for the choice of
         light vertices; None: that of its lane. Returns (layers of radiance, rays), one lane per path, not yet
         evaluated."""
@@ -75,11 +75,11 @@ class CameraWalk(BidirectionalWalk):
 
     def follow(
         self,
-        primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f],
+        primary: tuple[mi.Ray3f, mi.Spectrum, mi.Point2f],
         pixel: mi.UInt32,
         source: SampleSource,
         number: mi.UInt32 | None = None,
-    ) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
+    ) -> tuple[dict[str, mi.Spectrum], mi.UInt32]:
         """:meth:`trace` for the given camera rays: (ray, weight, aperture sample)."""
         lanes = dr.width(pixel)
         ray, importance, aperture = primary
@@ -90,7 +90,7 @@ class CameraWalk(BidirectionalWalk):
         state = _State(
             active=dr.full(mi.Bool, True, lanes) & (self.max_edges > 0),
             ray=mi.Ray3f(ray),
-            throughput=dr.full(mi.Color3f, 1.0, lanes),
+            throughput=dr.full(mi.Spectrum, 1.0, lanes),
             eta=dr.full(mi.Float, 1.0, lanes),
             d_vcm=d_vcm,
             d_vc=d_vc,
@@ -208,7 +208,7 @@ class CameraWalk(BidirectionalWalk):
         count = self.mis.techniques.next_event
         alone = s.throughput * f.value * light.radiance
 
-        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Color3f]]:
+        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Spectrum]]:
             to_light, to_vertex = hit_pdf, light.light_ratio * cos
             if passing is not None:
                 to_light, to_vertex = to_light * passing.to_end, to_vertex * passing.to_start
@@ -248,8 +248,8 @@ class CameraWalk(BidirectionalWalk):
         first, count = stored.path_vertices(s.lane % self.cache.paths, active)
 
         def connect(
-            j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32
-        ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
+            j: mi.UInt32, totals: list[mi.Spectrum], rays: mi.UInt32
+        ) -> tuple[mi.UInt32, list[mi.Spectrum], mi.UInt32]:
             light = stored.read(stored.slot(first + j, active), active, self.visibility)
             joined = self._join(s, vertex, light, active)
             f = vertex.evaluate(joined.direction, joined.active)
@@ -267,9 +267,9 @@ class CameraWalk(BidirectionalWalk):
         s.rays += rays
         self.sink.add(s.layers, "connection", totals, active, Component.INDIRECT)
 
-    def _blank(self, lanes: int, parts: int = 1) -> list[mi.Color3f]:
+    def _blank(self, lanes: int, parts: int = 1) -> list[mi.Spectrum]:
         """Zero radiance for each radius, divided into ``parts`` for the first radius."""
-        return [dr.zeros(mi.Color3f, lanes) for _ in range(parts + len(self.sink.more_radii))]
+        return [dr.zeros(mi.Spectrum, lanes) for _ in range(parts + len(self.sink.more_radii))]
 
     def _join(
         self, s: _State, vertex: WalkVertex, light: LightVertex, active: mi.Bool, pick: Pick | None = None
@@ -282,7 +282,7 @@ class CameraWalk(BidirectionalWalk):
 
     def _connection(
         self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float, share: mi.Float | None
-    ) -> tuple[list[mi.Color3f], Weights, mi.UInt32]:
+    ) -> tuple[list[mi.Spectrum], Weights, mi.UInt32]:
         """s >= 2, t >= 2: (weighted contribution by radius, weights, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
         other, number, pick = joined.vertex, self.number(s), joined.pick
@@ -294,7 +294,7 @@ class CameraWalk(BidirectionalWalk):
         if pick is not None:
             alone /= pick.chance
 
-        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Color3f]]:
+        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Spectrum]]:
             to_light = f.pdf * other.cos(joined.direction) * joined.inverse_square
             to_camera = f_light.pdf * cos * joined.inverse_square
             if passing is not None:
@@ -336,8 +336,8 @@ class CameraWalk(BidirectionalWalk):
         squares, factors = gather.at(area)
 
         def visit(
-            photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
-        ) -> tuple[list[mi.Color3f], Sums | None]:
+            photon: mi.UInt32, found: tuple[list[mi.Spectrum], Sums | None]
+        ) -> tuple[list[mi.Spectrum], Sums | None]:
             values, weights = self._merged(gather, s, vertex, photon, area, share, active)
             totals, sums = found
             if self.moments and sums:
@@ -364,7 +364,7 @@ class CameraWalk(BidirectionalWalk):
         area: mi.Float | None,
         share: mi.Float | None,
         active: mi.Bool,
-    ) -> tuple[list[mi.Color3f], Weights]:
+    ) -> tuple[list[mi.Spectrum], Weights]:
         """(weighted contribution of one photon, by radius; weights). ``area``: see :meth:`Gather.at`."""
         photons, number = gather.photons, self.number(s)
         squares, factors = gather.at(area)

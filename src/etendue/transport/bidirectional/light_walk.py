@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.film import after_light_scattering
+from etendue.scene import brightness
 
 from .. import dimensions as dim
 from ..camera import CameraConnection
@@ -107,7 +108,7 @@ class LightWalk(BidirectionalWalk):
         """Flux of the paths at their start: those from lights that are picked more often than by power, or along
         learned directions or through learned places, have little, but contribute as much."""
         if self.departures is not None or self.lights.lines is not None:
-            return dr.sum(emitted.throughput) / 3.0
+            return dr.sum(emitted.throughput) / float(dr.size_v(mi.Spectrum))
         return None if self.lights.count == 1 else self.lights.flux_of(emitted.light, emitted.active)
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
@@ -200,7 +201,7 @@ class LightWalk(BidirectionalWalk):
         factor = joined.importance * place.weight * vertex.cosine_ratio(joined.direction)
         alone = s.throughput * f.value
 
-        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Color3f]]:
+        def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Spectrum]]:
             density = area_pdf if passing is None else area_pdf * passing.to_start
             weights = self.mis.at(self.share(vertex)).splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, density)
             return weights, [alone * (factor * weight) for weight in weights]
@@ -218,6 +219,6 @@ class LightWalk(BidirectionalWalk):
         if self.training is not None:
             x, y = (mi.UInt32(dr.maximum(coordinate, 0.0)) for coordinate in joined.position)
             worth = self.training.worth(y * self.camera.width + x, contribution.active)
-            value = mi.luminance(contribution.weighted[0]) * worth / self.mis.paths_per_sample
+            value = brightness(contribution.weighted[0]) * worth / self.mis.paths_per_sample
             s.found = s.found + dr.select(contribution.active & dr.isfinite(value), value, 0.0)
         s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))

@@ -110,7 +110,7 @@ class Moments:
 
     # ------------------------------------------------------------------ in the camera walk
 
-    def begin(self, lanes: int, importance: mi.Color3f) -> Sums:
+    def begin(self, lanes: int, importance: mi.Spectrum) -> Sums:
         """The sums before the first edge of ``lanes`` camera paths; ``importance``: their weights."""
         self._importance = importance
         return self.blank(lanes)
@@ -121,12 +121,12 @@ class Moments:
         return Sums(totals, excess, *(dr.zeros(mi.UInt32, lanes) for _ in range(3)))
 
     def add(
-        self, sums: Sums, family: str, value: mi.Color3f, ratios: Sequence[mi.Float], active: mi.Bool
+        self, sums: Sums, family: str, value: mi.Spectrum, ratios: Sequence[mi.Float], active: mi.Bool
     ) -> list[mi.Float]:
         """Add a weighted contribution of a technique family; ``ratios``: of its weights. Returns its value for each
         candidate."""
         # dr.mean would write the number of lanes into the kernel, and the pilot could not share it with the passes.
-        c = dr.sum(value * self._importance) / 3.0
+        c = dr.sum(value * self._importance) / float(dr.size_v(mi.Spectrum))
         active = active & dr.isfinite(c) & dr.isfinite(sum(ratios))
         c = dr.select(active, c, 0.0)
         merged = family == "merge"
@@ -146,7 +146,7 @@ class Moments:
         return values
 
     def add_connections(
-        self, sums: Sums, connections: Sequence[tuple[mi.Color3f, Sequence[mi.Float], mi.Bool]]
+        self, sums: Sums, connections: Sequence[tuple[mi.Spectrum, Sequence[mi.Float], mi.Bool]]
     ) -> None:
         """Add the connections of a vertex: (weighted contribution, ratios, mask) each."""
         values = [self.add(sums, "connection", *one) for one in connections]
@@ -166,9 +166,9 @@ class Moments:
 
     # ------------------------------------------------------------------ in the light walk
 
-    def splat(self, position: mi.Point2f, value: mi.Color3f, ratios: Sequence[mi.Float], active: mi.Bool) -> None:
+    def splat(self, position: mi.Point2f, value: mi.Spectrum, ratios: Sequence[mi.Float], active: mi.Bool) -> None:
         """Add a weighted splat at a film position in pixels."""
-        c = dr.sum(value) * (self._splat_scale / 3.0)
+        c = dr.sum(value) * (self._splat_scale / float(dr.size_v(mi.Spectrum)))
         active = active & dr.isfinite(c) & dr.isfinite(sum(ratios))
         square = dr.square(c)
         x, y = (mi.UInt32(dr.maximum(place, 0.0)) for place in (position.x, position.y))

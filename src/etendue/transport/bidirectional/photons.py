@@ -27,7 +27,7 @@ from etendue.density import HashGrid
 from etendue.film import Component
 
 from ..flight import mean
-from ..packing import unpacked_direction, unpacked_normal
+from ..packing import unpacked_direction, unpacked_light, unpacked_normal
 from ..vertex import WalkVertex
 from .linear import Carried, Linear
 
@@ -41,7 +41,7 @@ _LEAST_OPENING = 0.5
 class Photon:
     """Photons read back, one lane each."""
 
-    fluence: mi.Color3f  #: flux over the geometric cosine at which it arrived, or over the scattering coefficient
+    fluence: mi.Spectrum  #: flux over the geometric cosine at which it arrived, or over the scattering coefficient
     direction: mi.Vector3f  #: world, towards the light side
     normal: mi.Vector3f  #: of its surface, on the side of ``direction``
     medium: mi.UInt32  #: of a photon in a medium
@@ -61,6 +61,7 @@ class Photons:
     _depth_bits: int  #: bits of a tag that hold the depth; if fewer than 16, the next four hold the vertex number
     _owners: mi.UInt32 | None = None  #: number of the light path of each
     _extinction: mi.Float | None = None
+    _fourth: mi.Float | None = None  #: number of the flux, of spectral light
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -86,8 +87,9 @@ class Photons:
         f = dr.gather(mi.Vector4f, self._flux, 2 * index, active)
         d = dr.gather(mi.Vector4f, self._flux, 2 * index + 1, active)
         d_vcm, d_vc = weighting(f.w, d.w, self._more, index, active)
+        fourth = None if self._fourth is None else dr.gather(mi.Float, self._fourth, index, active)
         return Photon(
-            fluence=mi.Color3f(f.x, f.y, f.z),
+            fluence=unpacked_light(f, fourth),
             direction=unpacked_direction(d.x, d.y),
             normal=unpacked_normal(d.z),
             medium=dr.reinterpret_array(mi.UInt32, d.z),

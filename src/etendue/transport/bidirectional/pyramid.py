@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from etendue.core import OptionError, on_device
 from etendue.film import LONGER, Technique
+from etendue.scene import Packet
 
 from ..camera import SplatPlace
 from .techniques import Techniques
@@ -34,9 +35,11 @@ class Pyramid:
     techniques: the techniques in use.
     depth: edges of the longest paths with pictures of their own, at most :data:`PYRAMID_MAX`.
     pixels: pixels of the image.
+    packet: wavelengths of the contributions.
     """
 
-    def __init__(self, techniques: Techniques, depth: int, pixels: int) -> None:
+    def __init__(self, techniques: Techniques, depth: int, pixels: int, packet: Packet) -> None:
+        self._packet = packet
         self.techniques = in_pyramid(techniques, depth)
         self._depth, self._pixels = depth, pixels
         self._longer = len(self.techniques)
@@ -64,8 +67,8 @@ class Pyramid:
         s: mi.UInt32,
         t: mi.UInt32,
         pixel: mi.UInt32,
-        weighted: mi.Color3f,
-        alone: mi.Color3f,
+        weighted: mi.Spectrum,
+        alone: mi.Spectrum,
         active: mi.Bool,
     ) -> None:
         """Add a contribution of camera paths to their pixels: ``weighted`` with the MIS weight, ``alone`` without.
@@ -75,7 +78,7 @@ class Pyramid:
         self._scatter(slot + (self._longer + 1), pixel, alone, active & inside)
 
     def add_splat(
-        self, s: mi.UInt32, place: SplatPlace, weighted: mi.Color3f, alone: mi.Color3f, active: mi.Bool
+        self, s: mi.UInt32, place: SplatPlace, weighted: mi.Spectrum, alone: mi.Spectrum, active: mi.Bool
     ) -> None:
         """Add a splat of light sub-paths of ``s`` vertices, as :meth:`add` does."""
         slot, inside = self._slot(False, s, mi.UInt32(1), active)
@@ -91,9 +94,9 @@ class Pyramid:
         row = edges + (self._depth + 1 if merged else 0)
         return dr.gather(mi.UInt32, self._table, row * (self._depth + 1) + s, active & inside), inside
 
-    def _scatter(self, slot: mi.UInt32, pixel: mi.UInt32, value: mi.Color3f, active: mi.Bool) -> None:
-        packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
+    def _scatter(self, slot: mi.UInt32, pixel: mi.UInt32, value: mi.Spectrum, active: mi.Bool) -> None:
         active = active & dr.all(dr.isfinite(value)) & dr.any(value != 0.0)
+        packet = mi.Vector4f(*self._packet.rgb(value), 0.0)
         dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, slot * self._pixels + pixel, active)
 
     def layers(self, image: Callable[[mi.Color3f], NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:

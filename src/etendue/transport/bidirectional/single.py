@@ -91,7 +91,7 @@ class _CameraSide(BidirectionalWalk):
         self,
         edges: mi.UInt32,
         emissive: mi.Bool,
-        primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f],
+        primary: tuple[mi.Ray3f, mi.Spectrum, mi.Point2f],
         source: SampleSource,
         components: bool,
     ) -> _CameraEnding:
@@ -105,7 +105,7 @@ class _CameraSide(BidirectionalWalk):
         state = _CameraEnding(
             active=edges > 0,
             ray=mi.Ray3f(ray),
-            throughput=mi.Color3f(importance),
+            throughput=mi.Spectrum(importance),
             eta=dr.full(mi.Float, 1.0, lanes),
             d_vcm=d_vcm,
             d_vc=d_vc,
@@ -209,8 +209,8 @@ class SingleContribution:
     """One lane each."""
 
     position: mi.Point2f  #: on the film, in pixels
-    value: mi.Color3f  #: with its weight; times the number of techniques of its length, it estimates their sum
-    alone: mi.Color3f  #: without the weight
+    value: mi.Spectrum  #: with its weight; times the number of techniques of its length, it estimates their sum
+    alone: mi.Spectrum  #: without the weight
     rays: mi.UInt32
     component: mi.UInt32 | None = None  #: ``film.Component``, if asked for
 
@@ -362,6 +362,6 @@ class SingleTechnique:
         )
 
 
-def _masked(value: mi.Color3f, weight: mi.Float, active: mi.Bool) -> tuple[mi.Color3f, mi.Color3f]:
+def _masked(value: mi.Spectrum, weight: mi.Float, active: mi.Bool) -> tuple[mi.Spectrum, mi.Spectrum]:
     """(``value`` times ``weight``, ``value``), 0 where not ``active``."""
     return dr.select(active, value * weight, 0.0), dr.select(active, value, 0.0)

@@ -19,8 +19,8 @@ from .techniques import Techniques
 class Contribution:
     """Contribution of one technique, one lane per path."""
 
-    weighted: Sequence[mi.Color3f]  #: with its weight, one per merging radius
-    alone: mi.Color3f  #: without a weight, for the pyramid
+    weighted: Sequence[mi.Spectrum]  #: with its weight, one per merging radius
+    alone: mi.Spectrum  #: without a weight, for the pyramid
     active: mi.Bool  #: lanes that add ``weighted``
     visible: mi.Bool  #: lanes that add ``alone``
 
@@ -40,12 +40,12 @@ class CameraSink(Sink):
     components: bool = False  #: a layer for each component
     more_radii: tuple[str, ...] = ()  #: names of the layers of the merging radii after the first
 
-    def begin(self, techniques: Techniques, pixel: mi.UInt32, importance: mi.Color3f) -> dict[str, mi.Color3f]:
+    def begin(self, techniques: Techniques, pixel: mi.UInt32, importance: mi.Spectrum) -> dict[str, mi.Spectrum]:
         """Initial layers. ``pixel`` and ``importance`` of the paths are kept for the pyramid."""
         self._pixel, self._importance = pixel, importance
         # Opaque, because Dr.Jit fails on literal zeros in a loop if no material of the scene adds to a layer.
         names = (*self.families(techniques), *self.more_radii)
-        return {name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in names}
+        return {name: mi.Spectrum(dr.opaque(mi.Float, 0.0)) for name in names}
 
     def families(self, techniques: Techniques) -> tuple[str, ...]:
         """Names of the layers whose sum is the picture."""
@@ -59,9 +59,9 @@ class CameraSink(Sink):
 
     def add(
         self,
-        layers: dict[str, mi.Color3f],
+        layers: dict[str, mi.Spectrum],
         family: str,
-        values: Sequence[mi.Color3f],
+        values: Sequence[mi.Spectrum],
         active: mi.Bool,
         component: mi.UInt32 | int | None,
     ) -> None:
@@ -71,9 +71,9 @@ class CameraSink(Sink):
 
     def add_first(
         self,
-        layers: dict[str, mi.Color3f],
+        layers: dict[str, mi.Spectrum],
         family: str,
-        value: mi.Color3f,
+        value: mi.Spectrum,
         active: mi.Bool,
         component: mi.UInt32 | int | None,
     ) -> None:
@@ -87,7 +87,7 @@ class CameraSink(Sink):
             elif component == number:
                 layers[name][active] += value
 
-    def add_more(self, layers: dict[str, mi.Color3f], values: Sequence[mi.Color3f], active: mi.Bool) -> None:
+    def add_more(self, layers: dict[str, mi.Spectrum], values: Sequence[mi.Spectrum], active: mi.Bool) -> None:
         """Add values of the radii after the first."""
         for name, value in zip(self.more_radii, values, strict=True):
             layers[name][active] += value

@@ -15,10 +15,10 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.film import Component
-from etendue.scene import Material, Media, materials
+from etendue.scene import Material, Media, is_spectral, materials
 
 from ..flight import mean
-from ..packing import packed_direction, packed_normal, unpacked_direction
+from ..packing import packed_direction, packed_light, packed_normal, unpacked_direction, unpacked_light
 from ..scattering import Evaluated, evaluate_light_end
 from ..vertex import Vertex, WalkVertex
 from ..visibility import Visibility
@@ -70,7 +70,7 @@ class LightVertex(Vertex):
     """Vertices read back, one lane each."""
 
     direction: mi.Vector3f  #: world, towards the light side
-    throughput: mi.Color3f
+    throughput: mi.Spectrum
     d_vcm: mi.Float | Linear
     d_vc: mi.Float | Linear
     depth: mi.UInt32  #: edges from the light
@@ -130,6 +130,7 @@ class LightVertices:
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
         self._more = dr.empty(mi.Float, 4 * capacity) if linear else None  # further coefficients of d_vcm and d_vc
         self._owners = dr.empty(mi.UInt32, capacity) if owned else None
+        self._fourth = dr.empty(mi.Float, capacity) if is_spectral() else None  # number of the throughput
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
         self._order: mi.UInt32 | None = None
@@ -162,7 +163,7 @@ class LightVertices:
         path: mi.UInt32,
         index: mi.UInt32,
         vertex: WalkVertex,
-        throughput: mi.Color3f,
+        throughput: mi.Spectrum,
         fluence: mi.Float,
         mis: tuple[Carried, Carried],
         kind: mi.UInt32,
@@ -196,7 +197,10 @@ class LightVertices:
             packet = mi.Vector4f(d_vcm.end, d_vc.connection, d_vc.merge, 0.0)
             dr.scatter(self._more, packet, slot, active)
             d_vcm, d_vc = d_vcm.connection, d_vc.end
-        self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, d_vcm), slot, active)
+        light, fourth = packed_light(flux)
+        self._put(1, mi.Vector4f(*light, d_vcm), slot, active)
+        if self._fourth is not None:
+            dr.scatter(self._fourth, fourth, slot, active)
         lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
         surface = packed_normal(lit)
         if self.volumes:
@@ -226,7 +230,7 @@ class LightVertices:
 
     def launch(self) -> None:
         """Launch the walk's kernel, and all that is scheduled."""
-        dr.eval(self.wanted, self._records, self._stored, self._more, self._owners)
+        dr.eval(self.wanted, self._records, self._stored, self._more, self._owners, self._fourth)
 
     @property
     def count(self) -> mi.UInt32:
@@ -293,14 +297,14 @@ class LightVertices:
         si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
         if self.indexed and bsdf.in_medium is not None:
             si = dr.select(bsdf.in_medium, _framed(p, mi.Vector4f(0.0, 0.0, 1.0, 0.0), mi.Vector4f(0.0)), si)
-        si.wi = si.to_local(world)
+        si.wi, si.wavelengths = si.to_local(world), visibility.packet.wavelengths
         return LightVertex(
             si=si,
             bsdf=bsdf,
             medium=medium,
             extinction=extinction,
             direction=world,
-            throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
+            throughput=unpacked_light(throughput, self._fourth_of(slot, active)),
             d_vcm=d_vcm,
             d_vc=d_vc,
             depth=depth_of(position.w, self._depth_bits),
@@ -323,6 +327,9 @@ class LightVertices:
         pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
         return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
 
+    def _fourth_of(self, slot: mi.UInt32, active: mi.Bool) -> mi.Float | None:
+        return None if self._fourth is None else dr.gather(mi.Float, self._fourth, slot, active)
+
     def positions(self, in_media: bool = False) -> tuple[mi.Point3f, mi.UInt32, mi.Bool]:
         """(positions, :class:`Kind`, mask of the slots in use by vertices on surfaces, or ``in_media``), one lane a
         slot."""
@@ -342,9 +349,9 @@ class LightVertices:
         flux = dr.empty(mi.Float, 8 * self.capacity)
         dr.scatter(position, self._get(0, slot, held), destination, held)
         first = self._get(1, slot, held)
+        light = unpacked_light(first, self._fourth_of(slot, held))
         if self.connected:
-            fluence = self._get(_PACKETS - 1, slot, held).z
-            first = mi.Vector4f(first.x * fluence, first.y * fluence, first.z * fluence, first.w)
+            light *= self._get(_PACKETS - 1, slot, held).z
         extinction = None
         if media is not None:
             # Collisions over the scattering coefficient, by which the throughput was multiplied, are fluence.
@@ -353,9 +360,13 @@ class LightVertices:
             if media.heterogeneous:
                 extinction = dr.empty(mi.Float, self.capacity)
                 dr.scatter(extinction, mean(sampled), destination, held)
-            fluence = dr.select(scattering > 0.0, mi.Color3f(first.x, first.y, first.z) / scattering, 0.0)
-            first = mi.Vector4f(*fluence, first.w)
-        dr.scatter(flux, first, 2 * destination, held)
+            light = dr.select(scattering > 0.0, light / scattering, 0.0)
+        numbers, own = packed_light(light)
+        dr.scatter(flux, mi.Vector4f(*numbers, first.w), 2 * destination, held)
+        fourth = None
+        if own is not None:
+            fourth = dr.empty(mi.Float, self.capacity)
+            dr.scatter(fourth, own, destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
         more = None
         if self._more is not None:
@@ -365,8 +376,8 @@ class LightVertices:
         if self._owners is not None:
             owners = dr.empty(mi.UInt32, self.capacity)
             dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
-        dr.eval(position, flux, more, owners, extinction)
-        return Photons(position, flux, more, self._depth_bits, owners, extinction)
+        dr.eval(position, flux, more, owners, extinction, fourth)
+        return Photons(position, flux, more, self._depth_bits, owners, extinction, fourth)
 
 
 def _medium(vertex: WalkVertex) -> mi.UInt32:

@@ -41,7 +41,7 @@ class Connected:
 
     contribution: Contribution
     weights: Weights
-    unshadowed: list[mi.Color3f]  #: contributions, one per radius, without visibility
+    unshadowed: list[mi.Spectrum]  #: contributions, one per radius, without visibility
     rays: mi.UInt32  #: shadow rays cast
 
 
@@ -92,12 +92,12 @@ class BidirectionalWalk(Walker):
         vertex: WalkVertex,
         target: mi.Point3f,
         edges: mi.UInt32,
-        weigh: Callable[[Passing | None], tuple[Weights, list[mi.Color3f]]],
-        alone: mi.Color3f,
+        weigh: Callable[[Passing | None], tuple[Weights, list[mi.Spectrum]]],
+        alone: mi.Spectrum,
         threshold: mi.Float,
         u: mi.Float,
         active: mi.Bool,
-        end: mi.Color3f | mi.Float | None = None,
+        end: mi.Spectrum | mi.Float | None = None,
     ) -> Connected:
         """Connect a vertex to ``target`` by an untraced edge.
 
@@ -141,7 +141,7 @@ class BidirectionalWalk(Walker):
         scattered: Scattered,
         source: SampleSource,
         on_edge: tuple[Carried, Carried],
-        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+        roulette_by: tuple[mi.Spectrum, mi.Float] | None = None,
         place: mi.UInt32 | None = None,
     ) -> None:
         """:meth:`Walker.advance`, with ``d_vcm`` and ``d_vc`` after scattering; ``on_edge``: the two before the vertex,

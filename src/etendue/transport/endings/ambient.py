@@ -54,20 +54,20 @@ class AmbientTable:
         self._term = term
         self._radiance = copied_to_device(mi.Float, (irradiance / np.pi).astype(np.float32))
 
-    def at(self, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
+    def at(self, vertex: WalkVertex, active: mi.Bool) -> mi.Spectrum:
         """The radiance for the shading normal on the side from which a vertex was reached."""
         if self._term == "classic":
-            return dr.gather(mi.Color3f, self._radiance, mi.UInt32(0), active)
+            return dr.gather(mi.Spectrum, self._radiance, mi.UInt32(0), active)
         normal = facing(vertex)
         shares = [dr.square(component) for component in normal]
         if self._term == "crisp":
             is_z = shares[2] > dr.maximum(shares[0], shares[1])
             is_y = ~is_z & (shares[1] > shares[0])
             shares = [dr.select(is_axis, mi.Float(1.0), 0.0) for is_axis in (~is_z & ~is_y, is_y, is_z)]
-        light = mi.Color3f(0.0)
+        light = mi.Spectrum(0.0)
         for axis, share in enumerate(shares):
             number = mi.UInt32(2 * axis) + ones(normal[axis] < 0.0)
-            light += share * dr.gather(mi.Color3f, self._radiance, number, active)
+            light += share * dr.gather(mi.Spectrum, self._radiance, number, active)
         return light
 
 
@@ -93,7 +93,7 @@ class _Found:
 def ambient_scene(walker: Walker, ray: mi.Ray3f, source: SampleSource, term: AmbientTerm) -> AmbientScene:
     """Walk from the camera rays ``ray`` (a lane for each walk) with the numbers of ``source``."""
     path = CameraPath.start(ray, mi.UInt32(_EDGES))
-    carried = dr.full(mi.Color3f, 1.0, dr.width(ray))
+    carried = dr.full(mi.Spectrum, 1.0, dr.width(ray))
     edges = []
     for edge in range(1, _EDGES + 1):
         path.depth = dr.full(mi.UInt32, edge, dr.width(ray))
@@ -104,7 +104,7 @@ def ambient_scene(walker: Walker, ray: mi.Ray3f, source: SampleSource, term: Amb
     return _means(term, edges)
 
 
-def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSource) -> tuple[mi.Color3f, _Found]:
+def _edge(s: CameraPath, carried: mi.Spectrum, walker: Walker, source: SampleSource) -> tuple[mi.Spectrum, _Found]:
     """Trace an edge and scatter at its end. The throughput counts from the last smooth vertex."""
     weights = DirectWeights()
     vertex = walker.arrive(s)
@@ -114,10 +114,10 @@ def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSour
     smooth = s.active & vertex.smooth
     light = walker.light_point(vertex, source, smooth)
     scattered, (f,) = vertex.sample(source, s.active, [light])
-    s.throughput = dr.select(smooth, mi.Color3f(1.0), s.throughput)
+    s.throughput = dr.select(smooth, mi.Spectrum(1.0), s.throughput)
     contribution, visible = walker.next_event(s, vertex, light, f, weights)
     s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
-    through = dr.select(smooth, mi.Color3f(1.0), carried * scattered.weight)
+    through = dr.select(smooth, mi.Spectrum(1.0), carried * scattered.weight)
     found = [facing(vertex), smooth, scattered.weight & scattered.active, contribution & visible, emitted, carried]
     walker.advance(s, vertex, scattered, source)
     dr.eval(s, through, found)

@@ -32,7 +32,7 @@ from ..visibility import Visibility
 from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
 
 
-def light_of_map(surface_map: SurfaceMap, end: MapEnd, visibility: Visibility) -> tuple[mi.Color3f, mi.Bool]:
+def light_of_map(surface_map: SurfaceMap, end: MapEnd, visibility: Visibility) -> tuple[mi.Spectrum, mi.Bool]:
     """(contribution of the map to paths whose loop has been evaluated, lanes that end where the map has no surface)."""
     reflects = end.by_directions if end.by_directions is not None else mi.Bool(False)
     found = surface_map.irradiance(end.position, end.normal, end.reached & ~reflects)
@@ -86,7 +86,7 @@ class EndingWalker(Walker):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+        roulette_by: tuple[mi.Spectrum, mi.Float] | None = None,
     ) -> mi.Float:
         """See :class:`Walker`."""
         assert isinstance(s, CameraPath) and s.end is not None

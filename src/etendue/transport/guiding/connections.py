@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, CheckpointError, copied_to_device
+from etendue.scene import brightness
 
 from .worth import SQUARES, Worth, capped, in_units
 
@@ -168,7 +169,7 @@ class ConnectionTraining(Worth):
         self,
         camera: mi.UInt32,
         light: mi.UInt32,
-        value: mi.Color3f,
+        value: mi.Spectrum,
         worth: mi.Float,
         drawn: mi.Bool,
         active: mi.Bool,
@@ -177,7 +178,7 @@ class ConnectionTraining(Worth):
         vertices had the same probability."""
         pair = camera * CLASSES + light
         dr.scatter_add(self.count, mi.UInt32(1), pair, drawn & (worth > 0.0))
-        units = in_units(dr.square(capped(mi.luminance(value) * worth)), SQUARES)
+        units = in_units(dr.square(capped(brightness(value) * worth)), SQUARES)
         dr.scatter_add(self.square, units, pair, active & (units > 0), dr.ReduceMode.Direct)
 
     def sums(self, vertices: mi.UInt32) -> ConnectionSums:

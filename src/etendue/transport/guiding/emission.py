@@ -28,14 +28,14 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, CheckpointError
 from etendue.density import Quadtrees
-from etendue.scene import LightTable
+from etendue.scene import LightTable, brightness
 
 from ..emission import EmittedRay
 from .departure import Departures
 from .worth import SQUARES, UNITS, Worth, capped, in_units
 
 #: A contribution and whether it counts.
-Found = tuple["mi.Color3f", "mi.Bool"]
+Found = tuple["mi.Spectrum", "mi.Bool"]
 #: Share of the selection by power.
 _BY_POWER = 0.1
 #: Weight, in paths, of the mean of all lights in the estimate of a light.
@@ -211,9 +211,9 @@ class EmissionTraining(Worth):
         self.found = in_units(found, UNITS)
         dr.schedule(self._light, self._pdf, self._place, self._ratios, self.found)
 
-    def add(self, path: mi.UInt32, value: mi.Color3f, worth: mi.Float, active: mi.Bool) -> None:
+    def add(self, path: mi.UInt32, value: mi.Spectrum, worth: mi.Float, active: mi.Bool) -> None:
         """Add a contribution of a light path."""
-        units = in_units(mi.luminance(value) * worth, UNITS)
+        units = in_units(brightness(value) * worth, UNITS)
         dr.scatter_add(self.found, units, path, active & (units > 0), dr.ReduceMode.Direct)
 
     def add_light(self, light: mi.UInt32, found: Found, unshadowed: Found, worth: mi.Float) -> None:
@@ -221,7 +221,7 @@ class EmissionTraining(Worth):
         if self._guide.count == 1:
             return
         for sums, (value, active) in ((self.direct, found), (self.unshadowed, unshadowed)):
-            units = in_units(dr.square(capped(mi.luminance(value) * worth)), SQUARES)
+            units = in_units(dr.square(capped(brightness(value) * worth)), SQUARES)
             dr.scatter_add(sums, units, light, active & (units > 0), dr.ReduceMode.Direct)
 
     def sums(self) -> EmissionSums:

@@ -16,7 +16,7 @@ import numpy as np
 
 from etendue.core import Array, SampleSource
 from etendue.density import LEAST_LINES, LineDensity, fit_lines
-from etendue.scene import LightTable
+from etendue.scene import LightTable, brightness
 
 from .. import dimensions as dim
 from ..direct import DirectWeights
@@ -71,9 +71,9 @@ class OpeningWalk(Walker):
         return s
 
     def _keep(
-        self, s: OpeningPath, found: mi.Color3f, active: mi.Bool, o: mi.Point3f, d: mi.Vector3f, u: mi.Float
+        self, s: OpeningPath, found: mi.Spectrum, active: mi.Bool, o: mi.Point3f, d: mi.Vector3f, u: mi.Float
     ) -> None:
-        value = dr.select(active, dr.maximum(mi.luminance(found), 0.0), 0.0)
+        value = dr.select(active, dr.maximum(brightness(found), 0.0), 0.0)
         value = dr.select(dr.isfinite(value), value, 0.0)
         s.total += value
         kept = u * s.total < value

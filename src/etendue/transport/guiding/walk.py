@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import LightTable
+from etendue.scene import LightTable, brightness
 
 from ..direct import DirectWeights
 from ..emission import DirectSample
@@ -96,18 +96,18 @@ class TrainingSamples:
         """Store the sampled direction at vertex ``s.depth`` in ``cell``, and luminance and throughput of the path
         before it."""
         active = self._mine & s.active & wanted & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
-        carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
+        carried = dr.rcp(dr.maximum(brightness(s.throughput), _FAINT))
         bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.found, carried))
         packet = mi.Vector4u(scattered.place + 1, *bits, cell * FITS + scattered.fit)
         dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
 
     def record_light(
-        self, s: GuidedPath, cell: mi.UInt32, light: DirectSample, contribution: mi.Color3f, seen: mi.Bool
+        self, s: GuidedPath, cell: mi.UInt32, light: DirectSample, contribution: mi.Spectrum, seen: mi.Bool
     ) -> None:
         """Add the contribution of a light point to a vertex in ``cell``."""
         if not self._lights:
             return
-        units = mi.luminance(contribution) / dr.maximum(mi.luminance(s.throughput), _FAINT) * self._scale
+        units = brightness(contribution) / dr.maximum(brightness(s.throughput), _FAINT) * self._scale
         units = mi.UInt64(dr.minimum(dr.select(seen & (units >= 1.0), units, 0.0), float(_MOST)))
         place = cell * self._lights + light.light
         dr.scatter_add(self.brought, units, place, seen & (self._scale > 0.0), dr.ReduceMode.Direct)
@@ -196,13 +196,13 @@ class GuidedWalk(Walker):
         assert isinstance(scattered, GuidedScattered)
         self.training.record(s, cell, scattered, ~self.ends(vertex))
         known = s.active & (scattered.glow > 0.0)
-        carried = mi.luminance(s.throughput) * scattered.glow
+        carried = brightness(s.throughput) * scattered.glow
         s.expected = dr.select(known, carried, s.expected * dr.max(scattered.weight))
         s.expected_at_first = dr.select(known & (s.expected_at_first == 0.0), carried, s.expected_at_first)
         s.cell = dr.select(scattered.is_null, s.cell, cell)
         s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         estimated = s.expected_at_first > 0.0
-        ratio = mi.Color3f(dr.maximum(_WINDOW * s.expected / s.expected_at_first, _LEAST_SURVIVAL))
+        ratio = mi.Spectrum(dr.maximum(_WINDOW * s.expected / s.expected_at_first, _LEAST_SURVIVAL))
         by = dr.select(estimated, ratio, s.throughput * scattered.weight)
         eta = dr.select(estimated, 1.0, s.eta * scattered.eta)
         plain_by = s.throughput * scattered.weight * (reached * scattered.likelier)
@@ -234,7 +234,7 @@ class GuidedWalk(Walker):
     def add(
         self,
         s: GuidedPath,
-        contribution: mi.Color3f,
+        contribution: mi.Spectrum,
         active: mi.Bool,
         component: mi.UInt32 | int | None,
         odds: _Odds | None = None,
@@ -242,7 +242,7 @@ class GuidedWalk(Walker):
         """Add a contribution; see :meth:`CameraPath.add`."""
         s.add(contribution, active, component)
         # The light of a map may be negative, by a correction at edges; a guide learns from positive values only.
-        value = dr.select(active, dr.maximum(mi.luminance(contribution), 0.0), 0.0)
+        value = dr.select(active, dr.maximum(brightness(contribution), 0.0), 0.0)
         s.found = s.found + value
         odds = odds or _Odds(s.odds)
         s.plain_square += value * (value * odds.all + 2.0 * odds.own * s.plain)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, IndependentSource, SampleSource, copied_to_device
-from etendue.scene import LightTable
+from etendue.scene import LightTable, brightness
 
 from .. import dimensions as dim
 from ..camera import CameraSampler
@@ -167,7 +167,7 @@ class ImportancePilot(Walker):
         )
         on_film = joined.active & self.camera.on_film(joined.position)
         visible = self.sight(vertex, joined.target, s.depth + 1, on_film).visible
-        s.arrived += dr.select(visible, mi.luminance(s.throughput), 0.0)
+        s.arrived += dr.select(visible, brightness(s.throughput), 0.0)
         s.active &= self.goes_on(s, vertex)
         scattered, _ = vertex.sample(source, s.active, proposal=scatter_light)
         relative = s.throughput * scattered.weight / self.lights.flux

@@ -1,0 +1,114 @@
+"""Wavelengths of a pass, and the colour of their light.
+
+Under a spectral variant, light is carried at four wavelengths, the *packet*, which all paths of a pass share: a vertex
+of a light path can then be joined to any camera path. The wavelengths are evenly spread over a distribution that
+follows the sensitivity of the eye [Radziszewski 2009], and those of successive passes fall between each other, so that
+R passes are a quadrature of 4 R points. Under other variants light has no wavelengths: it is RGB.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array, UnsupportedError
+from etendue.points import radical_inverse
+
+#: Steps of the tables of colour matching functions and of D65, which are linear in between, in nanometres.
+_STEP = 5.0
+
+
+def is_spectral() -> bool:
+    """Whether light has wavelengths under the current variant."""
+    return "spectral" in (mi.variant() or "")
+
+
+def is_rgb() -> bool:
+    """Whether light is RGB under the current variant."""
+    return (mi.variant() or "").endswith("rgb")
+
+
+def require_rgb(what: str) -> None:
+    """Raise :class:`UnsupportedError` unless light is RGB. ``what``: the subject of the message, in the plural."""
+    if not is_rgb():
+        raise UnsupportedError(
+            f"{what} are computed in RGB, not under {mi.variant()}; set an RGB variant (llvm_ad_rgb)"
+        )
+
+
+def brightness(light: mi.Spectrum) -> mi.Float:
+    """Luminance of RGB, the mean of other light: for choices, which any measure serves."""
+    return mi.luminance(light) if is_rgb() else dr.mean(light)
+
+
+def spread_wavelengths(lanes: int = 1) -> mi.Spectrum:
+    """Wavelengths between 400 and 700 nm, evenly spread over all lanes; none unless the variant is spectral."""
+    if not is_spectral():
+        return mi.Color0f()
+    lane = dr.arange(mi.Float, lanes)
+    return mi.Spectrum(*(400.0 + 75.0 * (k + (lane + 0.5) / lanes) for k in range(4)))
+
+
+class Packet:
+    """The wavelengths of the pass that is being made; none, unless the variant is spectral.
+
+    ``wavelengths`` (nanometres) are those of rays and interactions; the first is the *hero*. ``white``: (3,) colour of
+    the pass in linear sRGB if all light is D65 and nothing absorbs: 1 in the mean over passes. The picture is divided
+    by the mean of its passes.
+    """
+
+    def __init__(self) -> None:
+        self.wavelengths = spread_wavelengths()
+        self.white: Array = np.ones(3)
+        self.choose(0, 0)
+
+    def choose(self, iteration: int, seed: int) -> None:
+        """Take the wavelengths of a pass."""
+        if not is_spectral():
+            return
+        number, shift = np.array([iteration], np.uint64), np.random.default_rng(seed).random(2)
+        # By the first number passes fall between each other, by the second each of the four is the hero as often.
+        between, hero = ((radical_inverse(number, base)[0] + s) % 1.0 for base, s in zip((2, 3), shift, strict=True))
+        wavelengths, density = _sampled(((np.arange(4) + int(4.0 * hero)) % 4 + between) / 4.0)
+        *matching, light = (np.interp(wavelengths, *curve) for curve in _curves(mi.variant()))
+        matrix = np.array(matching) / (4.0 * density)
+        self.white = matrix @ light
+        self.wavelengths, self._light, *self._rows = (_opaque(row) for row in (wavelengths, light, *matrix))
+
+    def rgb(self, light: mi.Spectrum) -> mi.Color3f:
+        """Light in linear sRGB; a colour remains as it is."""
+        if isinstance(light, mi.Color3f):
+            return light
+        if not is_spectral():
+            return mi.Color3f(light[0])
+        return mi.Color3f(*(dr.dot(row, light) for row in self._rows))
+
+    def albedo(self, share: mi.Spectrum) -> mi.Color3f:
+        """The colour of what reflects a share of the light, under D65."""
+        return self.rgb(share * self._light if is_spectral() else share)
+
+
+def _sampled(u: Array) -> tuple[Array, Array]:
+    """(wavelengths between 360 and 830 nm for numbers in [0, 1), their density)."""
+    rate, middle = 0.0072, 538.0
+    low, high = (np.tanh(rate * (end - middle)) for end in (mi.MI_CIE_MIN, mi.MI_CIE_MAX))
+    wavelengths = middle + np.arctanh(low + (high - low) * u) / rate
+    return wavelengths, rate / ((high - low) * np.cosh(rate * (wavelengths - middle)) ** 2)
+
+
+@cache
+def _curves(variant: str) -> list[tuple[Array, Array]]:
+    """(wavelengths, values) of linear sRGB for radiance at one wavelength, three curves, and of D65 with luminance
+    1."""
+    at = np.arange(mi.MI_CIE_MIN, mi.MI_CIE_MAX + 0.5 * _STEP, _STEP)
+    wavelengths = mi.Float(np.minimum(at, mi.MI_CIE_MAX - 1e-3).tolist())
+    matching = mi.xyz_to_srgb(mi.cie1931_xyz(wavelengths)) * mi.MI_CIE_Y_NORMALIZATION
+    light = mi.cie_d65(wavelengths)
+    return [(at, np.array(curve, np.float64)) for curve in (*matching, light)]
+
+
+def _opaque(numbers: Array) -> mi.Spectrum:
+    return mi.Spectrum(*(dr.opaque(mi.Float, float(number)) for number in numbers))
