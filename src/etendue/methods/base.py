@@ -311,7 +311,7 @@ class ImageMethod(Method):
 
     def take_wavelengths(self, iteration: int, seed: int) -> None:
         """Take the wavelengths of a pass, under a spectral variant."""
-        self.packet.choose(iteration, seed)
+        self.packet.choose(iteration, seed, self.visibility.disperses)
         if is_spectral() and self.visibility.media is not None:
             self.visibility.media.take(self.packet.wavelengths)
 

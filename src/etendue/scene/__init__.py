@@ -58,8 +58,10 @@ if TYPE_CHECKING:
     from .meshes import box as box, joined as joined
     from .models.reading import emits as emits
     from .packet import (
+        DISPERSES as DISPERSES,
         Packet as Packet,
         brightness as brightness,
+        hero_alone as hero_alone,
         is_rgb as is_rgb,
         is_spectral as is_spectral,
         require_rgb as require_rgb,

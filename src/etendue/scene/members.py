@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from etendue.core import on_device
 
 from .graph import shapes
+from .packet import hero_chosen
 
 
 class Members:
@@ -49,10 +50,11 @@ class Members:
         """``function(object, *arguments, active)`` of the object with a key, in each lane; zero in lanes that are not
         active, or whose key no object has."""
         place = dr.gather(mi.UInt32, self._place, key, active)
-        if len(self) > 1:
-            targets = [partial(function, self._object(number)) for number in self.ids]
-            return dr.switch(place, targets, *arguments, active & (place < len(self)))
-        return dr.switch(mi.UInt32(0), [partial(function, self._object(self.ids[0]))], *arguments, active & (place < 1))
+        targets = [partial(function, self._object(number)) for number in self.ids]
+        with hero_chosen():
+            if len(self) > 1:
+                return dr.switch(place, targets, *arguments, active & (place < len(self)))
+            return dr.switch(mi.UInt32(0), targets, *arguments, active & (place < 1))
 
     def _object(self, number: int) -> mi.Object:
         return dr.reinterpret_array(self._kind, mi.UInt32(int(number)))[0]

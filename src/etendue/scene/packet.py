@@ -8,6 +8,9 @@ R passes are a quadrature of 4 R points. Under other variants light has no wavel
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 
 import drjit as dr
@@ -15,8 +18,12 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import Array, UnsupportedError
-from etendue.points import radical_inverse
+from etendue.points import Sobol
 
+#: Flag of materials that refract light of different wavelengths in different directions. Refracted paths go on with the
+#: hero alone; from there on, all wavelengths of their rays are the hero's.
+DISPERSES = 1 << 24
+_HERO: ContextVar[bool] = ContextVar("hero", default=False)
 #: Steps of the tables of colour matching functions and of D65, which are linear in between, in nanometres.
 _STEP = 5.0
 
@@ -44,6 +51,26 @@ def brightness(light: mi.Spectrum) -> mi.Float:
     return mi.luminance(light) if is_rgb() else dr.mean(light)
 
 
+@contextmanager
+def hero_chosen() -> Iterator[None]:
+    """Materials that are called inside the block let the hero go on alone, in place of a wavelength at random."""
+    token = _HERO.set(True)
+    try:
+        yield
+    finally:
+        _HERO.reset(token)
+
+
+def is_hero_chosen() -> bool:
+    """Whether this is inside a block of :func:`hero_chosen`."""
+    return _HERO.get()
+
+
+def hero_alone(wavelengths: mi.Spectrum) -> mi.Bool:
+    """Lanes whose path carries light of the hero only, whose throughput counts four times."""
+    return wavelengths[1] == wavelengths[0]
+
+
 def spread_wavelengths(lanes: int = 1) -> mi.Spectrum:
     """Wavelengths between 400 and 700 nm, evenly spread over all lanes; none unless the variant is spectral."""
     if not is_spectral():
@@ -65,14 +92,18 @@ class Packet:
         self.white: Array = np.ones(3)
         self.choose(0, 0)
 
-    def choose(self, iteration: int, seed: int) -> None:
-        """Take the wavelengths of a pass."""
+    def choose(self, iteration: int, seed: int, disperses: bool = False) -> None:
+        """Take the wavelengths of a pass. ``disperses``: the hero, which goes on alone where light is dispersed, is
+        evenly spread over passes, else the four together are."""
         if not is_spectral():
             return
-        number, shift = np.array([iteration], np.uint64), np.random.default_rng(seed).random(2)
-        # By the first number passes fall between each other, by the second each of the four is the hero as often.
-        between, hero = ((radical_inverse(number, base)[0] + s) % 1.0 for base, s in zip((2, 3), shift, strict=True))
-        wavelengths, density = _sampled(((np.arange(4) + int(4.0 * hero)) % 4 + between) / 4.0)
+        # Evenly spaced after 2^m passes, and shifted at random. In quarters, the first number is the place in each, and
+        # the second says which is the hero's: a (0, 2)-sequence.
+        (first, second), shift = Sobol(2).value(iteration & 0xFFFFFFFF), np.random.default_rng(seed).random(2)
+        hero = (first + shift[0]) % 1.0
+        if not disperses:
+            hero = (np.floor(4.0 * second) + hero) / 4.0
+        wavelengths, density = _sampled((hero + np.arange(4) / 4.0) % 1.0)
         *matching, light = (np.interp(wavelengths, *curve) for curve in _curves(mi.variant()))
         matrix = np.array(matching) / (4.0 * density)
         self.white = matrix @ light

@@ -13,7 +13,7 @@ from typing import Protocol
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Material, medium_behind
+from etendue.scene import DISPERSES, Material, hero_alone, medium_behind
 
 from .flight import Passing
 from .scattering import (
@@ -64,6 +64,11 @@ class Vertex:
     def smooth(self) -> mi.Bool:
         """Whether the BSDF has a component without delta functions, so that the vertex can be connected or merged."""
         return is_smooth(self.bsdf)
+
+    def hero_goes_on(self, direction: mi.Vector3f) -> mi.Bool:
+        """Whether light from a world direction, or to it, has the hero's wavelength only at the vertex."""
+        through = mi.Frame3f.cos_theta(self.si.wi) * mi.Frame3f.cos_theta(self.si.to_local(direction)) < 0.0
+        return hero_alone(self.si.wavelengths) | ((self.bsdf.flags() & DISPERSES != 0) & through)
 
     def cos(self, direction: mi.Vector3f) -> mi.Float:
         """``|cos|`` of a world direction and the geometric normal; 1 in a medium."""

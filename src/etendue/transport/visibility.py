@@ -18,7 +18,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import Material, Media, Packet, bsdfs, graph, materials, media_in, medium_at, medium_behind
+from etendue.scene import (
+    DISPERSES,
+    Material,
+    Media,
+    Packet,
+    bsdfs,
+    graph,
+    materials,
+    media_in,
+    medium_at,
+    medium_behind,
+)
 
 from .flight import FAR, passed_by_walks
 from .tracking import keys_of_ray, track
@@ -47,6 +58,8 @@ class Visibility:
         self.bsdfs = bsdfs(scene) if self.media is None else self.media.bsdfs
         found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
         self.transparent = any(map(_passes, found))
+        #: Whether refraction depends on the wavelength.
+        self.disperses = any(bsdf.flags() & DISPERSES for bsdf in found)
         #: Whether textures are averaged over the footprint of a pixel.
         self.mipmaps = any(graph.plugin_name(node) == "mipmap" for node in materials(scene))
         self.specular = any(mi.has_flag(node.flags(), mi.BSDFFlags.Delta) for node in found)

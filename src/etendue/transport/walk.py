@@ -364,6 +364,9 @@ class Walker:
             s.eta = s.eta * scattered.eta
         s.travelled = self.keep_if_null(scattered, vertex.distance, mi.Float(0.0))
         s.ray = vertex.ray(scattered.direction)
+        if self.visibility.disperses:
+            alone = vertex.hero_goes_on(scattered.direction) & ~scattered.is_null
+            s.ray.wavelengths = dr.select(alone, mi.Spectrum(s.ray.wavelengths[0]), s.ray.wavelengths)
         counted = mi.UInt32(1)
         if s.flight is not None:
             counted -= self._fly_on(s.flight, vertex, scattered, source)

@@ -320,7 +320,15 @@ class Bidirectional(Carrying, ImageMethod):
         if connecting or self.techniques.merge:
             owned = common.get("training") is not None or self.recording.light is not None
             vertices = LightVertices(
-                run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned, self.visibility.volumes
+                run.capacity,
+                paths,
+                self._indexed,
+                connecting,
+                numbered,
+                mis.linear,
+                owned,
+                self.visibility.volumes,
+                self.visibility.disperses,
             )
         if run.splats:
             sink = SplatSink(

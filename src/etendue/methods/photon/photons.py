@@ -87,8 +87,16 @@ class PhotonTracer:
     def _trace(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> PhotonShot:
         """Trace light paths and store their vertices."""
         owned = self._method.recording.light is not None
-        volumes = self._method.visibility.volumes
-        vertices = LightVertices(capacity, paths, indexed=False, connected=False, owned=owned, volumes=volumes)
+        seen = self._method.visibility
+        vertices = LightVertices(
+            capacity,
+            paths,
+            indexed=False,
+            connected=False,
+            owned=owned,
+            volumes=seen.volumes,
+            disperses=seen.disperses,
+        )
         source = self._method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
         rays, _ = self._walk().trace(paths, source, vertices)
         dr.schedule(rays)
@@ -150,6 +158,8 @@ def reflected_by(
         f, pdf = vertex.bsdf.call(mi.BSDF.eval_pdf, *arguments, active=active)
         f = dr.select(peaks.gathers(pdf, photons.component(photon, active)), f, 0.0)
     value = p.fluence * f
+    if p.hero_alone is not None:
+        value = dr.select(p.hero_alone & vertex.hero_goes_on(p.direction), 0.25 * value, value)
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 

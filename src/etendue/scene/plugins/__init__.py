@@ -1,5 +1,5 @@
-"""étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``, texture
-``mipmap``; and materials from functions.
+"""étendue's own Mitsuba plugins: BSDFs ``phong``, ``ward``, ``dispersive`` and ``roughdispersive``, emitter
+``focusarea``, sensor ``spherical``, texture ``mipmap``; and materials from functions.
 
 Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
 its base class depends on the variant.
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from etendue.core import check_variant
 
 from .composed import composed_bsdf as composed_bsdf
+from .dispersive import make_dispersive
 from .focusarea import make_focusarea
 from .mipmap import make_mipmap
 from .phong import PhongLobe
@@ -25,7 +26,12 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 
-_BSDFS = {"phong": lambda: make_reflection(PhongLobe), "ward": lambda: make_reflection(WardLobe)}
+_BSDFS = {
+    "phong": lambda: make_reflection(PhongLobe),
+    "ward": lambda: make_reflection(WardLobe),
+    "dispersive": lambda: make_dispersive(is_rough=False),
+    "roughdispersive": lambda: make_dispersive(is_rough=True),
+}
 _EMITTERS = {"focusarea": make_focusarea}
 _SENSORS = {"spherical": make_spherical}
 _TEXTURES = {"mipmap": make_mipmap}

@@ -293,6 +293,9 @@ class CameraWalk(BidirectionalWalk):
         alone *= joined.inverse_square * other.cosine_ratio(joined.direction) * self.cache.factor
         if pick is not None:
             alone /= pick.chance
+        if self.visibility.disperses:  # both sub-paths count the hero four times
+            both = vertex.hero_goes_on(joined.direction) & other.hero_goes_on(-joined.direction)
+            alone = dr.select(both, 0.25 * alone, alone)
 
         def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Spectrum]]:
             to_light = f.pdf * other.cos(joined.direction) * joined.inverse_square
@@ -373,6 +376,8 @@ class CameraWalk(BidirectionalWalk):
         weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
         distance_squared, weight = weigh_photon(vertex, position, p, gather.in_media)
         value = p.fluence * f.value * weight
+        if p.hero_alone is not None:
+            value = dr.select(p.hero_alone & vertex.hero_goes_on(p.direction), 0.25 * value, value)
         inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:
             alone = value * s.throughput * factors[0]

@@ -48,6 +48,7 @@ class Photon:
     extinction: mi.Float | None  #: mean over the channels, in media; None unless one is heterogeneous
     d_vcm: mi.Float | Linear
     d_vc: mi.Float | Linear
+    hero_alone: mi.Bool | None  #: see :func:`etendue.scene.hero_alone`; None if no material disperses light
 
 
 @dataclass
@@ -62,6 +63,7 @@ class Photons:
     _owners: mi.UInt32 | None = None  #: number of the light path of each
     _extinction: mi.Float | None = None
     _fourth: mi.Float | None = None  #: number of the flux, of spectral light
+    _disperses: bool = False
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -96,7 +98,13 @@ class Photons:
             extinction=None if self._extinction is None else dr.gather(mi.Float, self._extinction, index, active),
             d_vcm=d_vcm,
             d_vc=d_vc,
+            hero_alone=self._hero_alone(index, active),
         )
+
+    def _hero_alone(self, index: mi.UInt32, active: mi.Bool) -> mi.Bool | None:
+        if not self._disperses:
+            return None
+        return is_hero_alone(dr.gather(mi.Vector4f, self._position, index, active).w)
 
 
 def weighting(
@@ -154,6 +162,15 @@ def depth_of(tag: mi.Float, bits: int) -> mi.UInt32:
 def component_of(tag: mi.Float) -> mi.UInt32:
     """The ``film.Component`` by the kind of a vertex; that of a beam is DIRECT."""
     return dr.maximum(dr.reinterpret_array(mi.UInt32, tag) >> 30, mi.UInt32(Component.DIRECT))
+
+
+#: Bit of the index on a path in a tag that marks vertices whose light is of the hero alone, if there may be any.
+HERO_ALONE = 1 << 12
+
+
+def is_hero_alone(tag: mi.Float) -> mi.Bool:
+    """Whether light arrives with the wavelength of the hero only."""
+    return ((dr.reinterpret_array(mi.UInt32, tag) >> 16) & HERO_ALONE) != 0
 
 
 def number_of(tag: mi.Float, bits: int) -> mi.UInt32:

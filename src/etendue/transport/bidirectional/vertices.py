@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.film import Component
-from etendue.scene import Material, Media, is_spectral, materials
+from etendue.scene import Material, Media, hero_alone, is_spectral, materials
 
 from ..flight import mean
 from ..packing import packed_direction, packed_light, packed_normal, unpacked_direction, unpacked_light
@@ -24,8 +24,10 @@ from ..vertex import Vertex, WalkVertex
 from ..visibility import Visibility
 from .linear import Carried, Linear
 from .photons import (
+    HERO_ALONE,
     Photons,
     depth_of,
+    is_hero_alone,
     number_of,
     weighting,
 )
@@ -101,6 +103,7 @@ class LightVertices:
     numbered: store the number of each vertex on its path, up to 15; the light point is 0. Otherwise the depth is used,
         which differs from the number after null surfaces.
     volumes: vertices may be in media.
+    disperses: materials may disperse light.
     """
 
     def __init__(
@@ -113,8 +116,11 @@ class LightVertices:
         linear: bool = False,
         owned: bool = False,
         volumes: bool = False,
+        disperses: bool = False,
     ) -> None:
-        self.volumes = volumes
+        self.volumes, self._disperses = volumes, disperses
+        #: Bits of an index on a path that mark vertices.
+        self._marks = (_IN_MEDIUM if volumes else 0) | (HERO_ALONE if disperses else 0)
         self.capacity = capacity
         self.indexed = indexed
         self.connected = connected
@@ -185,6 +191,8 @@ class LightVertices:
             depth = dr.minimum(depth, (1 << self._depth_bits) - 1) | (dr.minimum(number, 15) << self._depth_bits)
         if self.volumes:
             index = index | dr.select(vertex.bsdf.in_medium, _IN_MEDIUM, mi.UInt32(0))
+        if self._disperses:
+            index = index | dr.select(hero_alone(si.wavelengths), HERO_ALONE, mi.UInt32(0))
         tag = _as_float(depth | (index << 16) | (kind << 30))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
@@ -245,7 +253,7 @@ class LightVertices:
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         path = _as_uint(self._get(_PACKETS - 1, slot, held).y)
-        index = (_as_uint(self._get(0, slot, held).w) >> 16) & (_IN_MEDIUM - 1 if self.volumes else 0x3FFF)
+        index = (_as_uint(self._get(0, slot, held).w) >> 16) & (0x3FFF & ~self._marks)
         if by_path:
             number = dr.gather(mi.UInt32, self._start, path, held) + index
         else:
@@ -298,6 +306,9 @@ class LightVertices:
         if self.indexed and bsdf.in_medium is not None:
             si = dr.select(bsdf.in_medium, _framed(p, mi.Vector4f(0.0, 0.0, 1.0, 0.0), mi.Vector4f(0.0)), si)
         si.wi, si.wavelengths = si.to_local(world), visibility.packet.wavelengths
+        if self._disperses:
+            hero = mi.Spectrum(si.wavelengths[0])
+            si.wavelengths = dr.select(is_hero_alone(position.w), hero, si.wavelengths)
         return LightVertex(
             si=si,
             bsdf=bsdf,
@@ -377,7 +388,7 @@ class LightVertices:
             owners = dr.empty(mi.UInt32, self.capacity)
             dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
         dr.eval(position, flux, more, owners, extinction, fourth)
-        return Photons(position, flux, more, self._depth_bits, owners, extinction, fourth)
+        return Photons(position, flux, more, self._depth_bits, owners, extinction, fourth, self._disperses)
 
 
 def _medium(vertex: WalkVertex) -> mi.UInt32:
