@@ -147,6 +147,15 @@ class Auto(Carrying, ImageMethod):
         if self._vcm:
             self._vcm.bind(scene)
 
+    def take_wavelengths(self, iteration: int, seed: int) -> None:
+        """See :class:`ImageMethod`; also for the estimator, whose lights may be those of other passes."""
+        super().take_wavelengths(iteration, seed)
+        self._wavelengths_of = iteration, seed
+        if self._vcm:
+            self._vcm.take_wavelengths(iteration, seed)
+
+    _wavelengths_of = 0, 0  #: iteration and seed of the pass
+
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`."""
         if passes is not None and passes * self.samples_per_iteration * self.camera.pixels <= _PREVIEW:
@@ -233,6 +242,7 @@ class Auto(Carrying, ImageMethod):
             self.setup_seconds = time.perf_counter() - begin
             self._vcm_first = vcm.start()
             vcm.enter(self._state_of_vcm())
+            vcm.take_wavelengths(*self._wavelengths_of)
             self._vcm = vcm
         self._vcm.recording = self.recording
         return self._vcm
@@ -272,7 +282,6 @@ class Auto(Carrying, ImageMethod):
         vcm.use(counts)
         vcm.widening = widening or self._trial.factor
         vcm._hits = self._hits
-        vcm.take_wavelengths(iteration, seed)
         return vcm.render_pass(iteration, seed, samples)
 
     def _tracing(self) -> Trace:

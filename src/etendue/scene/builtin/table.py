@@ -17,6 +17,7 @@ from .flat import flat
 from .gaps import gaps
 from .pieces import camera, diffuse, rgb, sky
 from .shutters import shutters
+from .spectra import diamond, prism
 from .street import street
 from .volumes import aquarium, fog, smoke
 from .yard import yard
@@ -31,7 +32,7 @@ class BundledScene:
     :class:`MeshDescription`; a variant must be set.
 
     ``reference`` is a converged picture at the scene's size, if the library has one; ``reference_note`` describes how
-    it was rendered.
+    it was rendered. ``is_spectral``: the scene needs a spectral variant.
     """
 
     name: str
@@ -39,6 +40,7 @@ class BundledScene:
     describe: Callable[[], dict[str, Any]]
     reference: Path | None = None
     reference_note: str = ""
+    is_spectral: bool = False
 
     def build(self) -> dict[str, Any]:
         """The dictionary with its meshes built, as Mitsuba loads it."""
@@ -78,7 +80,12 @@ def bundled() -> dict[str, BundledScene]:
         ("smoke", "smoke above a bulb of clear glass, whose light is focused on smoke and walls", smoke),
         *theses.SCENES,
     )
+    of_spectra = (
+        ("prism", "a sheet of white light through a prism of flint glass, onto the floor and a screen", prism),
+        ("diamond", "a diamond, a sapphire and a stone of flint glass under seven small lamps", diamond),
+    )
     scenes = {name: BundledScene(name, text, describe) for name, text, describe in rows}
+    scenes |= {name: BundledScene(name, text, describe, is_spectral=True) for name, text, describe in of_spectra}
     scenes["caustics"] = replace(scenes["caustics"], reference=_DATA / "caustics.exr", reference_note=_CAUSTICS_NOTE)
     return scenes
 

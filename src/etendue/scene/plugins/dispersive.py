@@ -119,7 +119,9 @@ def make_dispersive(is_rough: bool) -> type:
             bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
             bs.sampled_type = dr.select(reflects, *(mi.UInt32(+flag) for flag in self._lobes()))
             if is_rough:
-                value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
+                # What a facet reflects below the surface, or refracts above it, would hit another facet.
+                is_above = mi.Frame3f.cos_theta(bs.wo) * cos_i > 0.0
+                value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active & (is_above == reflects))
                 return bs, dr.select(bs.pdf > 0.0, value / bs.pdf, 0.0)
             bs.pdf = dr.select(active, dr.select(reflects, share, 1.0 - share), 0.0)
             each = mi.Spectrum(*(mi.fresnel(cos_i, eta)[0] for eta in etas))
