@@ -87,10 +87,10 @@ def render(
     :class:`ClusterError`, where possible before the first pass, and :class:`engine.RunError` if a later pass fails.
     """
     from etendue.products import Picture, budget_of, choose_method, picture_task
-    from etendue.scene import SceneSource
+    from etendue.scene import SceneSource, colours_of
 
     product = Picture.of(save, checkpoint, save_every)
-    use_variant(variant)
+    use_variant(variant, colours_of(scene))
     kind = choose_method(method, scene, parameters)
     kind.Settings.check_arguments(settings, f"method '{kind.name}'", render)
     budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
@@ -132,7 +132,7 @@ def resume(
     counts = {"spp": spp, "bundles": bundles, "points": points, "passes": passes, "paths": paths}
     limits = {"seconds": seconds, "error": error, "particles": particles, **counts}
     task, saved = saved_task(checkpoint, scene=scene, limits=limits, save=save, save_every=save_every)
-    use_variant(variant)
+    use_variant(variant, saved.colours)
     return _run(task, callback, cluster, workers, wait, saved)
 
 

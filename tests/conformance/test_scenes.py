@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from support import scenes
 from support.media import FLAKES
-from support.tables import thinned
+from support.tables import RGB_SCENES, thinned
 
 import etendue
-from etendue.scene import bundled
 
 
 def plain(**parts):
@@ -20,7 +19,7 @@ def plain(**parts):
     return {"type": "scene", "sensor": scenes.camera(), "light": light, "floor": floor} | parts
 
 
-@pytest.mark.parametrize("name", thinned(bundled(), ("cornell-box",)))
+@pytest.mark.parametrize("name", thinned(RGB_SCENES, ("cornell-box",)))
 def test_bundled_scenes_pass(name):
     report = etendue.check(name)
     assert report.ok, report.failures

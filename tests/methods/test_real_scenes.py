@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.running import run
-from support.tables import crossed
+from support.tables import RGB_SCENES, crossed
 
 from etendue import methods
-from etendue.scene import bundled, load
+from etendue.scene import load
 
 PUBLIC = ("cornell-box", "cbox-spheres", "veach-bidir", "water-caustic", "soda-shoppe")
 #: Switches that the methods' defaults leave alone.
@@ -33,7 +33,7 @@ def test_public_scenes(name, method, scenes_dir):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("switch", SWITCHES)
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", RGB_SCENES)
 def test_bundled_scenes_with_other_switches(name, switch):
     method, settings = SWITCHES[switch]
     # In `gaps` few paths find light.

@@ -5,14 +5,14 @@ from itertools import product
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.tables import FAST_SCENES, crossed, thinned
+from support.tables import FAST_SCENES, RGB_SCENES, crossed, thinned
 
 from etendue import methods
 from etendue.core import Replica, UnsupportedError
-from etendue.scene import bundled, load
+from etendue.scene import load
 from etendue.scene.meshes import brilliant, height_field, lathe, smooth
 
-SCENES = list(bundled())
+SCENES = RGB_SCENES
 
 
 def closed(points, faces):

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.media import FOG, closed, fog
-from support.tables import FAST_SCENES, thinned
+from support.tables import FAST_SCENES, RGB_SCENES, thinned
 
 import etendue
 from etendue import methods
@@ -22,7 +22,6 @@ from etendue.scene import (
     ParameterChanges,
     Problem,
     SceneEditor,
-    bundled,
     load,
     name_elements,
     scene_xml,
@@ -259,7 +258,7 @@ def _parameters(problem: Problem) -> dict[str, Any]:
     return {key: np.asarray(value, float).ravel() for key, value in found.items() if value is not None}
 
 
-@pytest.mark.parametrize("name", thinned(bundled(), FAST_SCENES))
+@pytest.mark.parametrize("name", thinned(RGB_SCENES, FAST_SCENES))
 def test_bundled_scenes_as_xml(name: str, tmp_path: Path) -> None:
     """Meshes and bitmaps in memory become files; nothing is lost but the last digits."""
     (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
@@ -292,7 +291,7 @@ def test_scales_as_xml(scale: float, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(bundled()))
+@pytest.mark.parametrize("name", RGB_SCENES)
 def test_bundled_scenes_as_xml_give_the_same_picture(name: str, tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
     settings = {"spp": 16, "size": (48, 36), "max_depth": 4, "seed": 3}

@@ -9,6 +9,8 @@ import pytest
 
 from etendue.scene import bundled
 
+#: Bundled scenes for RGB variants.
+RGB_SCENES = [name for name, scene in bundled().items() if not scene.is_spectral]
 #: Bundled scenes of fast tests: those of the library's own, and two of the theses'.
 FAST_SCENES = (*list(bundled())[: list(bundled()).index("smoke") + 1], "glass-of-water", "six-cubes")
 

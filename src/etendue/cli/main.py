@@ -230,7 +230,7 @@ def resume(
         elif output is None:
             beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
             product = replace(product, pictures=tuple([p for p in beside if p.exists()] or beside[:1]))
-        choose_device(variant, threads)
+        choose_device(variant, threads, colours=saved.colours)
         opened, task = stack.enter_context(device.opened()), replace(task, product=product)
         return render_to_files(lambda: Job.resume(saved, task), product, saved.method, opened, callback)
 
@@ -369,7 +369,7 @@ def check(
 
     parameters = opt.parse_pairs(param, "-P")
     found = locate(scene, lambda text: note(error_console(), text))
-    choose_device(variant, threads)
+    choose_device(variant, threads, scene=found)
     return show_check(found, quick=quick, sensor=sensor, seed=seed, parameters=parameters, as_json=json)
 
 

@@ -69,9 +69,9 @@ def render(
 
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
     limits = opt.limits(time, error, spp=spp)
-    choose_device(variant, threads, low_priority)
     notes: list[str] = []  # shown after all checks
     found = locate(scene, notes.append)
+    choose_device(variant, threads, low_priority, found)
     chosen = choose_method(method, found, parameters, notes.append)
     source = SceneSource(found, size, sensor, parameters, memory)
     pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
@@ -115,7 +115,7 @@ def run(
     if file is None:
         raise OptionError("name a run file; `etendue run --example` prints one")
     wanted, console = RunFile.read(file), error_console()
-    choose_device(wanted.variant, wanted.threads, wanted.low_priority)
+    choose_device(wanted.variant, wanted.threads, wanted.low_priority, wanted.scene)
     notes: list[str] = []  # shown after all checks
     recorder = Recorder(wanted, lambda text: note(console, text))
     task = wanted.task(recorder, notes.append)
@@ -174,7 +174,7 @@ def compare(
     notes: list[str] = []
     source = SceneSource(locate(scene, notes.append), size, sensor, opt.parse_pairs(param, "-P"), memory)
     wanted = tasks(source, method or ["path", "vcm"], settings_in(define), seed=seed, limits=limits)
-    choose_device(variant, threads)
+    choose_device(variant, threads, scene=source.scene)
     console = error_console()
     for text in notes:
         note(console, text)

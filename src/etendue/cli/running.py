@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,19 @@ class Outcome(Generic[T]):
     exit_code: int
 
 
-def choose_device(variant: str | None, threads: int | None, low_priority: bool = False) -> None:
-    """Set the Mitsuba variant, the number of threads, and whether other processes come first."""
+def choose_device(
+    variant: str | None, threads: int | None, low_priority: bool = False, scene: Any = None, colours: str = "rgb"
+) -> None:
+    """Set the Mitsuba variant, the number of threads, and whether other processes come first. Without a variant, one
+    with the colours that a ``scene`` needs, or with ``colours``."""
     if low_priority:
         lower_priority()  # before there are threads, which have the priority of their creator
     set_threads(threads)
-    use_variant(variant)
+    if scene is not None and variant is None:
+        from etendue.scene import colours_of
+
+        colours = colours_of(scene)
+    use_variant(variant, colours)
 
 
 def follow(open_session: Callable[[], Session[T]], console: Console, label: str) -> Outcome[T]:

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.scene import graph
+from etendue.scene import graph, is_spectral, spread_wavelengths
 
 from .bsdfs import judge_density
 from .report import Finding, Findings
@@ -76,7 +76,7 @@ def _places(emitter: mi.Emitter, scene: mi.Scene, rng: np.random.Generator) -> A
 
 def _at(point: Array, lanes: int) -> mi.Interaction3f:
     it = dr.zeros(mi.Interaction3f, lanes)
-    it.p = mi.Point3f(*(float(v) for v in point))
+    it.p, it.wavelengths = mi.Point3f(*(float(v) for v in point)), spread_wavelengths()
     return it
 
 
@@ -180,8 +180,12 @@ def _check_power(findings: Findings, emitter: mi.Emitter, scene: mi.Scene, rays:
 
 
 def _power(emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Generator) -> tuple[Array, Array] | None:
-    """Emitted power for each channel and its standard error, from the radiance alone."""
-    flags = emitter.flags()
+    """Emitted power for each channel and its standard error, from the radiance alone; under a spectral variant, over
+    all wavelengths, four times."""
+    flags, wavelengths, range_of = emitter.flags(), spread_wavelengths(), 1.0
+    if is_spectral():
+        range_of = mi.MI_CIE_MAX - mi.MI_CIE_MIN
+        wavelengths = mi.Spectrum(*(mi.MI_CIE_MIN + range_of * uniform(rng, rays, 1) for _ in range(4)))
     sphere = scene.bbox().bounding_sphere()
     disc = np.pi * float(np.asarray(sphere.radius).ravel()[0]) ** 2
     if is_surface(emitter):
@@ -189,25 +193,27 @@ def _power(emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Gener
             return None
         shape = emitter.get_shape()
         area = float(np.asarray(shape.surface_area()).ravel()[0])
-        si = mi.SurfaceInteraction3f(shape.sample_position(0.0, uniform(rng, rays, 2)), dr.zeros(mi.Color0f))
+        si = mi.SurfaceInteraction3f(shape.sample_position(0.0, uniform(rng, rays, 2)), wavelengths)
         si.wi = mi.warp.square_to_cosine_hemisphere(uniform(rng, rays, 2))
-        return _moments(np.pi * area * host(emitter.eval(si), rays))
+        return _moments(range_of * np.pi * area * host(emitter.eval(si), rays))
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
         if mi.has_flag(flags, mi.EmitterFlags.DeltaDirection):
-            _, weight = emitter.sample_direction(_at(np.asarray(sphere.center).ravel(), 1), mi.Point2f(0.5))
-            return _moments(disc * host(weight, 1))
+            it = _at(np.asarray(sphere.center).ravel(), rays)
+            it.wavelengths = wavelengths
+            _, weight = emitter.sample_direction(it, mi.Point2f(0.5))
+            return _moments(range_of * disc * host(weight, rays))
         si = dr.zeros(mi.SurfaceInteraction3f, rays)
-        si.wi = vectors(uniform_sphere(rng, rays))
-        return _moments(4.0 * np.pi * disc * host(emitter.eval(si), rays))
+        si.wi, si.wavelengths = vectors(uniform_sphere(rng, rays)), wavelengths
+        return _moments(range_of * 4.0 * np.pi * disc * host(emitter.eval(si), rays))
     if not mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         return None
     ray, _ = emitter.sample_ray(0.0, mi.Float(0.5), mi.Point2f(0.5), mi.Point2f(0.5))
     origin, d = host(ray.o, 1)[0], uniform_sphere(rng, rays)
     distance = 0.1 * np.sqrt(disc)
     it = dr.zeros(mi.Interaction3f, rays)
-    it.p = mi.Point3f(np.ascontiguousarray((origin + distance * d).T, np.float32))
+    it.p, it.wavelengths = mi.Point3f(np.ascontiguousarray((origin + distance * d).T, np.float32)), wavelengths
     _, weight = emitter.sample_direction(it, mi.Point2f(0.5))
-    return _moments(4.0 * np.pi * distance**2 * host(weight, rays))
+    return _moments(range_of * 4.0 * np.pi * distance**2 * host(weight, rays))
 
 
 def _moments(values: Array) -> tuple[Array, Array]:

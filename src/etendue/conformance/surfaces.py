@@ -7,6 +7,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.scene import spread_wavelengths
+
 Array = NDArray[np.float64]
 
 
@@ -53,7 +55,7 @@ def points_on(
             dr.eval(chosen)
             return chosen
     si = dr.zeros(mi.SurfaceInteraction3f, count)
-    si.t = mi.Float(1.0)
+    si.t, si.wavelengths = mi.Float(1.0), spread_wavelengths()
     si.uv = uniform(rng, count, 2)
     si.p = mi.Point3f(si.uv.x, si.uv.y, 0.0)
     si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
@@ -66,7 +68,7 @@ def _hits(scene: mi.Scene, shape: mi.Shape, count: int, rng: np.random.Generator
     place = shape.sample_position(0.0, uniform(rng, count, 2))
     extent = float(np.max(np.asarray(scene.bbox().extents()).ravel()))
     near = 1e-4 * extent
-    ray = mi.Ray3f(place.p + near * place.n, -mi.Vector3f(place.n))
+    ray = mi.Ray3f(place.p + near * place.n, -mi.Vector3f(place.n), 0.0, spread_wavelengths())
     si = scene.ray_intersect(ray)
     dr.eval(si)  # so that kernels that use these points do not cast the rays again
     seen = np.broadcast_to(np.asarray(si.is_valid() & (si.shape == mi.ShapePtr(shape)) & (si.t < 2 * near)), count)

@@ -125,17 +125,18 @@ def uses_cuda() -> bool:
     return (mi.variant() or "").startswith("cuda")
 
 
-def choose_variant(requested: str | None = None) -> str:
-    """The Mitsuba variant to use: ``requested``, or by default CUDA where usable, else LLVM.
+def choose_variant(requested: str | None = None, colours: str = "rgb") -> str:
+    """The Mitsuba variant to use: ``requested``, or by default CUDA where usable, else LLVM, with these ``colours``
+    (rgb, spectral or mono).
 
     Raises :class:`BackendError` for a variant that étendue does not support or that this machine cannot run.
     """
     if requested is None:
         problem = cuda_problem()
         if problem is None:
-            return "cuda_ad_rgb"
+            return f"cuda_ad_{colours}"
         logger.debug("cuda_ad_rgb is not usable: %s", problem)
-        requested = "llvm_ad_rgb"
+        requested = f"llvm_ad_{colours}"
     check_variant(requested)
     return requested
 
@@ -157,10 +158,11 @@ def check_variant(variant: str) -> None:
         raise BackendError(f"variant '{variant}' cannot be used: {problem}; use llvm_ad_rgb, or see etendue doctor")
 
 
-def use_variant(requested: str | None = None) -> str:
+def use_variant(requested: str | None = None, colours: str = "rgb") -> str:
     """Make a usable variant current and return its name.
 
-    ``None`` keeps the variant that the user has set (checked), and chooses by :func:`choose_variant` if none is.
+    ``None`` keeps the variant that the user has set (checked), and chooses one with ``colours`` by
+    :func:`choose_variant` if none is.
     Setting a variant that is current already is free. Errors as :func:`choose_variant`.
     """
     import mitsuba as mi
@@ -169,7 +171,7 @@ def use_variant(requested: str | None = None) -> str:
     if requested is None and current is not None:
         check_variant(current)
         return current
-    chosen = choose_variant(requested)
+    chosen = choose_variant(requested, colours)
     if chosen != current:
         mi.set_variant(chosen)
     return chosen

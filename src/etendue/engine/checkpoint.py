@@ -60,6 +60,11 @@ class Checkpoint:
     #: Plain values of the caller.
     notes: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def colours(self) -> str:
+        """Colours of the run's variant, for ``core.use_variant``."""
+        return self.versions.get("variant", "").rpartition("_")[2] or "rgb"
+
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file atomically: a process that is killed leaves the complete old or new file.
 

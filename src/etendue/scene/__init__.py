@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .lamps.table import Light as Light, LightTable as LightTable
     from .loading import (
         Source as Source,
+        colours_of as colours_of,
         described as described,
         integrator_of as integrator_of,
         load as load,
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
         is_rgb as is_rgb,
         is_spectral as is_spectral,
         require_rgb as require_rgb,
+        spread_wavelengths as spread_wavelengths,
     )
     from .parsing import Change as Change, is_sensor as is_sensor
     from .parts import load_part as load_part, shape_boxes as shape_boxes, unmerged as unmerged

@@ -137,6 +137,29 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
     raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
 
 
+def colours_of(source: Any) -> str:
+    """The colours that a scene needs, for ``core.use_variant``: ``spectral`` if its description names materials that
+    disperse light, else ``rgb``. Never raises: what is wrong with a scene is found when it is loaded."""
+    try:
+        scene = locate(source, logger.debug) if isinstance(source, (str, os.PathLike)) else source
+        if isinstance(scene, Path):
+            is_spectral = scene.suffix.lower() == ".xml" and bool(_DISPERSES.search(scene.read_text("utf-8", "ignore")))
+        else:
+            is_spectral = scene.is_spectral if isinstance(scene, BundledScene) else _names_dispersion(scene)
+    except (SceneError, OSError):
+        return "rgb"
+    return "spectral" if is_spectral else "rgb"
+
+
+_DISPERSES = re.compile(r"""type\s*=\s*["'](rough)?dispersive["']""")
+
+
+def _names_dispersion(described: Any) -> bool:
+    if not isinstance(described, Mapping):
+        return False
+    return described.get("type") in ("dispersive", "roughdispersive") or any(map(_names_dispersion, described.values()))
+
+
 def described(source: Any, tell: Callable[[str], object]) -> Path | BundledScene | Mapping[str, Any]:
     """The scene file, the bundled scene or the dictionary that ``source`` is or names; ``tell`` as for :func:`locate`.
     Raises :class:`SceneError`."""
@@ -292,6 +315,8 @@ def _mitsuba_errors(name: str) -> Iterator[None]:
         text = re.sub(r"Traceback \(most recent call last\):\n(?:\s+.*\n)*(?:\w+\.)*\w+: ", "", str(error))
         text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", text)
         text = re.sub(r"\s+", " ", text).strip().rstrip(".")
+        if "needs wavelengths" in text:
+            raise UnsupportedError(f"{name}: {text[text.index('material ') :]}") from error
         if "unused parameters" in text:
             raise OptionError(f"{name} has no such $variable: {text.split(':', 1)[-1].strip(' -')}") from error
         raise SceneError(f"{text if name in text else f'{name}: {text}'}; {_remedy(text)}") from error

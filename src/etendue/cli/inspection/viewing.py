@@ -82,7 +82,7 @@ def view(
     if is_picture(scene) and not Path(scene).is_file():
         raise SceneError(f"there is no picture '{scene}'; check the path")
     found = scene if is_picture(scene) else locate(scene, lambda text: note(console, text))
-    choose_device(variant, threads)
+    choose_device(variant, threads, scene=found)
     kind = methods.get(method or DEFAULT)
     if method is None and not is_picture(scene):
         with suppress(SceneError):  # reported by the page
