@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,7 @@ from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
 from .media import is_constant, media_of, values_of, volume_of
+from .packet import is_spectral
 from .space import SENSORS
 
 if TYPE_CHECKING:
@@ -38,6 +40,12 @@ _EMITTERS = (
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
 #: Shapes that may emit: points on them can be sampled uniformly by area.
 _LAMPS = ("rectangle", "disk", "sphere", "cylinder")
+
+#: Parameters of materials that are numbers, not colours.
+_NUMBERS = {
+    *("alpha", "alpha_u", "alpha_v", "roughness", "anisotropic", "metallic", "clearcoat", "clearcoat_gloss", "sheen"),
+    *("sheen_tint", "spec_tint", "flatness", "spec_trans", "diff_trans", "opacity", "weight"),
+}
 
 _SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
 
@@ -108,6 +116,8 @@ def _check_shape(shape: mi.Shape) -> None:
     if bsdf is not None:
         for node in below(bsdf):
             _check_values(node, f"{describe(node, 'material' if isinstance(node, mi.BSDF) else 'texture')} of {name}")
+        if is_spectral():
+            _check_spectra(bsdf, name)
     if shape.is_emitter():
         if not shape.is_mesh() and plugin_name(shape) not in _LAMPS:
             raise UnsupportedError(
@@ -120,6 +130,23 @@ def _check_shape(shape: mi.Shape) -> None:
                 f"{name} emits light and has a 'to_world' that mirrors it, so that Mitsuba draws its inside as lit and "
                 "samples its outside; remove the reflection"
             )
+
+
+def _check_spectra(bsdf: mi.BSDF, name: str) -> None:
+    """Raise :class:`UnsupportedError` if a colour of a material, on the shape ``name``, has no spectrum."""
+    import mitsuba as mi
+
+    for node in below(bsdf):
+        for key, child in contents(node).objects:
+            if not isinstance(child, mi.Texture) or key in _NUMBERS or plugin_name(node) in ("normalmap", "bumpmap"):
+                continue
+            try:
+                child.eval(dr.zeros(mi.SurfaceInteraction3f))
+            except RuntimeError:
+                raise UnsupportedError(
+                    f"'{key}' of {describe(node, 'material')} of {name} has no spectrum: set 'raw' of its bitmap to "
+                    "false, or render under an RGB variant (llvm_ad_rgb)"
+                ) from None
 
 
 def _check_emitter(emitter: mi.Emitter) -> None:

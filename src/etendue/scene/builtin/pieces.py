@@ -141,7 +141,7 @@ def textured(pixels: Array, repeat: Range = (1.0, 1.0), plugin: str = "diffuse")
     """A picture of (height, width, 3) reflectances on both sides, bare or under a coat of ``plugin``."""
     import mitsuba as mi
 
-    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(pixels.astype(np.float32)), "raw": True}
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(pixels.astype(np.float32))}
     bitmap |= {"to_uv": mi.ScalarTransform4f().scale([*repeat, 1.0])}
     return {
         "type": "twosided",

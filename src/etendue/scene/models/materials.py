@@ -143,11 +143,11 @@ def _bitmap(image: Any, raw: bool = False) -> Dict:
 
 
 def _raw(values: NDArray[Any]) -> Dict:
-    """A texture of linear values."""
+    """A texture of linear values: colours, or numbers."""
     import mitsuba as mi
 
     values = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], np.float32)
-    return {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
+    return {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": values.shape[2] == 1}
 
 
 def _opacity(image: Any, factor: float, cut: float | None) -> Dict | float | None:

@@ -9,6 +9,7 @@ from etendue.core import OptionError, use_variant
 from etendue.integration import Integrand
 
 from ..both import pdf_of_both, value_of_both
+from ..packet import require_rgb
 
 #: Parameters of a reflectance: texture coordinates, and two directions.
 PARAMETERS = 8
@@ -35,6 +36,8 @@ def composed_bsdf(f: Integrand) -> mi.BSDF:
             f"with 1 or 3 values, not one of {f.dimension} parameters on the {f.on} with {f.values} values"
         )
     use_variant()
+    if f.values == 3:
+        require_rgb("materials of functions with three values")
 
     class ComposedBSDF(mi.BSDF):
         """f cos, and the density of cosine sampling."""

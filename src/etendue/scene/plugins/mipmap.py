@@ -17,6 +17,8 @@ import numpy as np
 
 from etendue.core import Array, copied_to_device
 
+from ..packet import require_rgb
+
 #: Coordinates of texels from any whole numbers, by wrap mode.
 _WRAP: dict[str, Callable[[mi.Int32, mi.Int32], mi.Int32]] = {
     "repeat": lambda i, n: _remainder(i, n),
@@ -26,7 +28,8 @@ _WRAP: dict[str, Callable[[mi.Int32, mi.Int32], mi.Int32]] = {
 
 
 def make_mipmap() -> type:
-    """The texture class for the current variant."""
+    """The texture class for the current variant, in RGB only: the texels of spectra cannot be averaged."""
+    require_rgb("textures of type 'mipmap'")
 
     class Mipmap(mi.Texture):
         """A bitmap with coarser copies of itself."""
@@ -103,16 +106,16 @@ def make_mipmap() -> type:
             pair = self._sample(fine, uv, active), self._sample(coarse, uv, active)
             return [a + share * (b - a) for a, b in zip(*pair, strict=True)]
 
-        def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
+        def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
             return self.eval_3(si, active)
 
-        def eval_3(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
+        def eval_3(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
             values = self._filtered(si, active)
-            return mi.Spectrum(*values) if len(values) == 3 else mi.Spectrum(values[0])
+            return mi.Color3f(*values) if len(values) == 3 else mi.Color3f(values[0])
 
         def eval_1(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Float:
             values = self._filtered(si, active)
-            return mi.luminance(mi.Spectrum(*values)) if len(values) == 3 else values[0]
+            return mi.luminance(mi.Color3f(*values)) if len(values) == 3 else values[0]
 
         def eval_1_grad(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Vector2f:
             return self.bitmap.eval_1_grad(si, active)
