@@ -66,6 +66,8 @@ PROGRAMS = {
                 Benchmark("start", "fresh.start", 6, "From the command to the picture, beside Mitsuba's path."),
                 Benchmark("memory", "fresh.memory", 1, "Peak memory of a fresh process."),
                 Benchmark("media", "media.measure", 25, "Error in fog and water beside Mitsuba's volpath."),
+                Benchmark("prism", "spectral.prism", 15, "Error in the spectrum of a prism after a given time."),
+                Benchmark("cost-spectral", "spectral.cost", 3, "Seconds of a pass with wavelengths, beside RGB."),
                 Benchmark("rays", "rays.measure", 1, "Share of ray casting in a pass."),
                 Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),

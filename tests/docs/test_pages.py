@@ -21,6 +21,7 @@ from etendue.cli.experiments import compare
 from etendue.cli.inspection import doctor, viewing
 from etendue.cli.main import main
 from etendue.radiosity import ABuffer
+from etendue.scene import colours_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
@@ -150,14 +151,17 @@ def folder(tmp_path_factory, variant):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_are_understood(command, folder, monkeypatch, capsys):
     """All is read and checked; nothing is rendered."""
-    begun = []
+    begun, own = [], mi.variant()
 
     def begin(*arguments):
         begun.append(arguments)
         return 0
 
+    def choose(variant, threads, low_priority=False, scene=None, colours=""):
+        mi.set_variant(f"{own.split('_')[0]}_ad_{colours_of(scene)}" if scene is not None else own)
+
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(running, "choose_device", lambda *arguments: None)
+    monkeypatch.setattr(running, "choose_device", choose)
     monkeypatch.setattr(options.Device, "opened", lambda device: nullcontext())
     for place, name in (
         (running, "render_to_files"),
@@ -175,7 +179,8 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
         words[words.index("-o") + 1] = "new.particles"
     if words[0] == "film-picture" and "--size" in words:
         words[words.index("--size") + 1] = "64x48"
-    assert main(words) == 0, capsys.readouterr().err
+    with mi.variant_context(own):
+        assert main(words) == 0, capsys.readouterr().err
     assert begun or capsys.readouterr().out
 
 

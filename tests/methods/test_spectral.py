@@ -23,7 +23,7 @@ from etendue.core import UnsupportedError
 from etendue.film import LONGER, Technique
 from etendue.scene import load
 
-METHODS = ("path", "light", "guided", "bpt", "bpm", "vcm", "sppm", "ppm", "auto")
+METHODS = ("path", "light", "guided", "vegas", "stratified", "bpt", "bpm", "vcm", "sppm", "ppm", "auto")
 GLASSES = {
     "smooth": {"type": "dispersive", "int_ior": 1.7, "abbe": 8.0},
     "rough": {"type": "roughdispersive", "int_ior": 1.7, "abbe": 8.0, "alpha": 0.25},

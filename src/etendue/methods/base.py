@@ -311,8 +311,10 @@ class ImageMethod(Method):
 
     def take_wavelengths(self, iteration: int, seed: int) -> None:
         """Take the wavelengths of a pass, under a spectral variant."""
+        if not is_spectral():
+            return
         self.packet.choose(iteration, seed, self.visibility.disperses)
-        if is_spectral() and self.visibility.media is not None:
+        if self.visibility.media is not None:
             self.visibility.media.take(self.packet.wavelengths)
 
     def _weight_of(self, layer: str, samples: int) -> float | Array:

@@ -18,7 +18,7 @@ from .graph import as_array, below, contents, describe, plugin_name, shapes
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
 from .media import is_constant, media_of, values_of, volume_of
-from .packet import is_spectral
+from .packet import DISPERSES, is_spectral
 from .space import SENSORS
 
 if TYPE_CHECKING:
@@ -133,10 +133,16 @@ def _check_shape(shape: mi.Shape) -> None:
 
 
 def _check_spectra(bsdf: mi.BSDF, name: str) -> None:
-    """Raise :class:`UnsupportedError` if a colour of a material, on the shape ``name``, has no spectrum."""
+    """Raise :class:`UnsupportedError` if a colour of the material of the shape ``name`` has no spectrum, or if it
+    cannot be told whether light that it transmits is dispersed."""
     import mitsuba as mi
 
     for node in below(bsdf):
+        if plugin_name(node) == "blendbsdf" and node.flags() & DISPERSES:
+            raise UnsupportedError(
+                f"{describe(node, 'material')} of {name} blends a material that disperses light with another, which is "
+                "not supported; use one of them"
+            )
         for key, child in contents(node).objects:
             if not isinstance(child, mi.Texture) or key in _NUMBERS or plugin_name(node) in ("normalmap", "bumpmap"):
                 continue

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from etendue import methods
 from etendue.core import Frozen, IndependentSource, prepared, seed_key
-from etendue.scene import Problem, resized
+from etendue.scene import Problem, is_spectral, resized
 
 from .camera import Pose, place
 
@@ -105,7 +105,8 @@ class Moving:
         radiance = self._function(*keys)
         self._iteration += 1
         width, height = self._problem.size
-        return np.array(dr.ravel(radiance), np.float32).reshape(height, width, 3)
+        picture = np.array(dr.ravel(radiance), np.float32).reshape(height, width, 3)
+        return picture / np.float32(self._method.packet.white) if is_spectral() else picture
 
     def _radiance(self, key0: mi.UInt32, key1: mi.UInt32) -> mi.Color3f:
         method = self._method

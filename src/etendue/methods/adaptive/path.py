@@ -19,7 +19,7 @@ import mitsuba as mi
 
 from etendue.core import OptionError, setting
 from etendue.film import Component
-from etendue.scene import Problem
+from etendue.scene import Problem, brightness
 from etendue.transport import CameraPath, CameraSampler, FirstHits, Recording, Walker, WalkVertex, dimensions as dim
 
 from .. import radius as radii
@@ -70,6 +70,7 @@ class AdaptivePath(EndsInMap):
 
     Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
     settings: AdaptiveSettings
+    spectral: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. With ``maps``, a pilot measures the number of photons of a light path."""
@@ -94,7 +95,7 @@ class AdaptivePath(EndsInMap):
         """Use independent offsets in the pixels if a group has numbers of ``film``."""
         film = {(0, dim.FILM), (0, dim.FILM + 1)}
         if any(film & set(draws) for group in named for draws in group.draws):
-            self.camera = CameraSampler(self.problem, independent=True)
+            self.camera = CameraSampler(self.problem, independent=True, packet=self.packet)
 
     def map_light(self, iteration: int, seed: int) -> float:
         """Trace the photons of a pass, if paths end in maps. Returns the number of rays."""
@@ -213,7 +214,7 @@ def _count(
     contribution = contribution * source.weight(s.depth, by_light_point)
     s.add(contribution, active, component)
     if s.parts:
-        luminance = mi.luminance(contribution)
+        luminance = brightness(contribution)
         s.parts = [
             part + dr.select(active & drawn.used(s.depth, by_light_point), luminance, 0.0)
             for part, drawn in zip(s.parts, source.drawn, strict=True)

@@ -160,7 +160,9 @@ class StratifiedPath(AdaptivePath):
         """The plan of a pass, shared by ``update`` passes."""
         wanted = iteration // self.settings.update, seed, samples
         if self._planned is None or self._planned[0] != wanted:
+            self.take_wavelengths(wanted[0] * self.settings.update, seed)
             self._planned = wanted, self._plan(*wanted)
+            self.take_wavelengths(iteration, seed)
         return self._planned[1]
 
     def _plan(self, number: int, seed: int, samples: int) -> Regions:

@@ -62,6 +62,7 @@ class Pm(PhotonMapping):
     Settings: ClassVar[type[ImageSettings]] = PmSettings
     settings: PmSettings
     citations: ClassVar[tuple[str, ...]] = ("Jensen1996",)
+    spectral: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`PhotonMapping`."""
