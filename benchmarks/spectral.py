@@ -15,7 +15,7 @@ from etendue import methods, render, scene
 from etendue.core import Replica
 from etendue.film import relative_mse
 
-from .measuring import COST_SCENE, Record, console, interleaved, spread, verdict
+from .measuring import COST_SCENE, Clock, Record, console, spread, timed, verdict
 from .mitsuba_pictures import picture
 from .options import Names, Rounds, Seconds, Seeds, Size, WarmUp
 
@@ -92,17 +92,24 @@ def cost(
     warm_up: WarmUp = 2,
 ) -> Record:
     """Passes of four samples a pixel in turn, in RGB and with wavelengths."""
-    tasks: dict[str, Callable[[int], Any]] = {}
-    for name in [*names, _MITSUBA]:
-        for colours in ("rgb", "spectral"):
-            with _colours(colours):
-                tasks[f"{name} {colours}"] = _pass(name, colours, scene.load(source, size=size))
-    times = interleaved(tasks, rounds, warm_up)
+    tasks: dict[str, dict[str, Callable[[int], Any]]] = {}
+    for colours in ("rgb", "spectral"):
+        with _colours(colours):
+            problem = scene.load(source, size=size)
+            tasks[colours] = {name: _pass(name, problem) for name in [*names, _MITSUBA]}
+    times: dict[tuple[str, str], list[Clock]] = {(name, own): [] for own, row in tasks.items() for name in row}
+    for number in range(warm_up + rounds):
+        for colours, row in tasks.items():
+            with _colours(colours):  # to change the variant takes as long as a pass, and is not timed
+                for name, step in row.items():
+                    clock = timed(step, number)
+                    if number >= warm_up:
+                        times[name, colours].append(clock)
     record = Record(
         f"Cost of a pass with wavelengths, {source}, {size[0]}x{size[1]}", ("", "RGB s", "spectral s", "ratio", "bar")
     )
     for name in [*names, _MITSUBA]:
-        plain, ours = (times[f"{name} {colours}"] for colours in ("rgb", "spectral"))
+        plain, ours = (times[name, colours] for colours in tasks)
         ratios = [a.wall / b.wall for a, b in zip(ours, plain, strict=True)]
         middle = [f"{statistics.median(clock.wall for clock in clocks):.3f}" for clocks in (plain, ours)]
         bar = verdict(statistics.median(ratios), COST_BAR) if name != _MITSUBA else ""
@@ -114,23 +121,13 @@ def cost(
     return record
 
 
-def _pass(name: str, colours: str, problem: scene.Problem) -> Callable[[int], Any]:
+def _pass(name: str, problem: scene.Problem) -> Callable[[int], Any]:
     if name == _MITSUBA:
         integrator = mi.load_dict({"type": "path", "max_depth": 10})
-
-        def mitsuba(number: int) -> None:
-            with _colours(colours):
-                image = mi.render(problem.scene, sensor=problem.sensor, integrator=integrator, spp=4, seed=number)
-                np.array(image)
-
-        return mitsuba
+        return lambda number: np.array(
+            mi.render(problem.scene, sensor=problem.sensor, integrator=integrator, spp=4, seed=number)
+        )
     kind = methods.get(name)
     method = kind(kind.Settings.from_mapping({"samples_per_pass": 4, "max_depth": 10}))
     method.prepare(problem, 0)
-    replica = Replica(method, 0)
-
-    def step(number: int) -> None:
-        with _colours(colours):
-            replica.step(number)
-
-    return step
+    return Replica(method, 0).step
