@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from support import scenes
 from support.running import run
+from support.spectral import spectral_variant
 from support.statistics import assert_agree
 
 from etendue.core import SceneError
@@ -209,6 +210,29 @@ def test_materials_of_gltf(tmp_path):
     assert found["srgbreflectancespectrum.value"] == pytest.approx([0.123456, 0.5, 1.0])
     radiance = dict(contents(problem.scene.emitters()[0]).objects)["radiance"]
     assert np.array(contents(radiance).values[0][1]).ravel() == pytest.approx([7.0, 3.5, 0.0])
+
+
+def test_dispersion_of_gltf(tmp_path, caplog):
+    extensions = {
+        "KHR_materials_transmission": {"transmissionFactor": 1.0},
+        "KHR_materials_ior": {"ior": 1.6},
+        "KHR_materials_dispersion": {"dispersion": 0.5},
+    }
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.4, "baseColorFactor": [0.9, 0.5, 1, 1]}
+    rough = {"name": "all", "extensions": extensions, "pbrMetallicRoughness": surface}
+    smooth = rough | {"pbrMetallicRoughness": surface | {"roughnessFactor": 0.0}}
+    assert "principled.eta" in material(load(gltf(tmp_path, [{"mesh": 0}], [rough]), size=SIZE))
+    assert "rendered without it in RGB" in caplog.text
+    with spectral_variant():
+        for name, described in (("roughdispersive", rough), ("dispersive", smooth)):
+            problem = load(gltf(tmp_path, [{"mesh": 0}], [described]), size=SIZE)
+            (bsdf,) = {shape.bsdf() for shape in problem.scene.shapes()}
+            assert plugin_name(bsdf) == name
+            wavelengths = mi.SurfaceInteraction3f()
+            wavelengths.wavelengths = mi.Spectrum(486.1327, 587.5618, 656.2725, 500.0)
+            at_f, at_d, at_c, _ = (float(index[0]) for index in bsdf._indices(wavelengths))
+            assert at_d == pytest.approx(1.6, abs=1e-5)
+            assert (at_d - 1.0) / (at_f - at_c) == pytest.approx(40.0, rel=1e-3)
 
 
 def test_a_model_without_camera_and_light(tmp_path, caplog):

@@ -22,6 +22,7 @@ from .changes.transforms import settle_transforms
 from .graph import name as element_name
 from .lamps.environments import instantiated
 from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
+from .models.gltf import description
 from .models.reading import SUFFIXES, is_model, model
 from .moving import Described, moved
 from .parsing import (
@@ -142,7 +143,9 @@ def colours_of(source: Any) -> str:
     disperse light, else ``rgb``. Never raises: what is wrong with a scene is found when it is loaded."""
     try:
         scene = locate(source, logger.debug) if isinstance(source, (str, os.PathLike)) else source
-        if isinstance(scene, Path):
+        if isinstance(scene, Path) and scene.suffix.lower() in (".gltf", ".glb"):
+            is_spectral = "KHR_materials_dispersion" in description(scene).get("extensionsUsed", ())
+        elif isinstance(scene, Path):
             is_spectral = scene.suffix.lower() == ".xml" and bool(_DISPERSES.search(scene.read_text("utf-8", "ignore")))
         else:
             is_spectral = scene.is_spectral if isinstance(scene, BundledScene) else _names_dispersion(scene)
@@ -257,10 +260,13 @@ def _from_parser(
     def checked(test: Callable[[mi.Scene, mi.Sensor], None]) -> None:
         try:
             test(scene, chosen)
-        except SceneError:
+        except SceneError as error:
             # Merged meshes have lost their names: check again without merging, so that the error names the element.
-            with _resolving(folders), _mitsuba_errors(name):
-                named = instantiated(config, unmerged)
+            try:
+                with _resolving(folders), _mitsuba_errors(name):
+                    named = instantiated(config, unmerged)
+            except SceneError:  # arrays in a description can be taken only once
+                raise error from None
             test(named, _sensor(named, sensor, name))
             raise
 

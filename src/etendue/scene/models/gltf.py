@@ -24,6 +24,7 @@ _LIGHTS = "KHR_lights_punctual"
 _READ = {
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
+    "KHR_materials_dispersion",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
     "KHR_materials_transmission",

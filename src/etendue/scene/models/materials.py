@@ -8,6 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.core import logger
+
+from ..packet import is_spectral
+
 Dict = dict[str, Any]
 
 #: Material of a surface without one.
@@ -59,7 +63,8 @@ def of_mtl(material: Any) -> tuple[Dict, Dict | None]:
 def of_gltf(material: Any, raw: Mapping[str, Any]) -> tuple[Dict, Dict | None]:
     """BSDF and radiance (None: no light) of a material of a glTF file, as trimesh reads it; ``raw``: the same as in the
     file, for its factors in full precision and for the extensions ``KHR_materials_emissive_strength``,
-    ``KHR_materials_ior`` and ``KHR_materials_transmission``."""
+    ``KHR_materials_ior``, ``KHR_materials_transmission`` and, where all light is transmitted, under spectral variants,
+    ``KHR_materials_dispersion``."""
     surface, extensions = raw.get("pbrMetallicRoughness", {}), raw.get("extensions", {})
     colour = [float(v) for v in surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))]
     texture = material.baseColorTexture
@@ -73,7 +78,10 @@ def of_gltf(material: Any, raw: Mapping[str, Any]) -> tuple[Dict, Dict | None]:
         bsdf["metallic"] = _raw(channels[..., 2] * metallic)
     transmission = float(extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0))
     bsdf["eta"] = float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5))
-    if transmission > 0.0:
+    dispersion = float(extensions.get("KHR_materials_dispersion", {}).get("dispersion", 0.0))
+    if dispersion > 0.0 and transmission == 1.0:
+        bsdf = _dispersive(bsdf, roughness, dispersion)
+    elif transmission > 0.0:
         bsdf["spec_trans"] = transmission
     else:
         bsdf = _twosided(bsdf)
@@ -95,6 +103,18 @@ def of_gltf(material: Any, raw: Mapping[str, Any]) -> tuple[Dict, Dict | None]:
         return bsdf, None
     shining = material.emissiveTexture
     return bsdf, rgb(emitted) if shining is None else _textured(shining, emitted)
+
+
+def _dispersive(principled: Dict, roughness: float, dispersion: float) -> Dict:
+    """Glass that disperses light, in place of a material that transmits all light; without dispersion in RGB."""
+    if not is_spectral():
+        logger.warning("glass with dispersion is rendered without it in RGB; use a spectral variant (llvm_ad_spectral)")
+        return principled | {"spec_trans": 1.0}
+    index = {"int_ior": principled["eta"], "ext_ior": 1.0, "dispersion": dispersion}
+    glass: Dict = {"type": "dispersive"}
+    if roughness > _LEAST_ROUGHNESS:
+        glass = {"type": "roughdispersive", "distribution": "ggx", "alpha": roughness**2}
+    return {**glass, **index, "specular_transmittance": principled["base_color"]}
 
 
 def of_vertices() -> Dict:

@@ -1,0 +1,67 @@
+"""Which variants scenes need: by their names, descriptions and files."""
+
+import json
+
+import mitsuba as mi
+import pytest
+from support.running import run
+from support.spectral import spectral_variant
+
+from etendue.core import UnsupportedError
+from etendue.scene import bundled_scene, colours_of, load
+
+GLASS = {"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "mask", "nested": {"type": "roughdispersive"}}}}
+XML = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}"/></shape></scene>'
+
+
+def test_scenes_with_dispersive_glass_need_wavelengths(tmp_path):
+    files = {"glass.xml": XML.format("dispersive"), "plain.xml": XML.format("dielectric")}
+    files["glass.gltf"] = json.dumps({"extensionsUsed": ["KHR_materials_dispersion"]})
+    files["plain.gltf"] = json.dumps({"meshes": []})
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+        assert colours_of(tmp_path / name) == ("spectral" if name.startswith("glass") else "rgb"), name
+    assert colours_of("prism") == colours_of(bundled_scene("diamond")) == colours_of(GLASS) == "spectral"
+    for other in ("cornell-box", "no such scene", {"type": "scene"}, None, tmp_path / "missing.xml"):
+        assert colours_of(other) == "rgb"
+
+
+def raw_picture():
+    return {"type": "bitmap", "data": mi.TensorXf([0.5] * 12, (2, 2, 3)), "raw": True}
+
+
+REFUSED = {
+    "'reflectance' of material .* has no spectrum: set 'raw'": lambda: {
+        "type": "diffuse",
+        "reflectance": raw_picture(),
+    },
+    "blends a material that disperses light": lambda: {
+        "type": "blendbsdf",
+        "weight": 0.5,
+        "a": {"type": "dispersive"},
+        "b": {"type": "dielectric"},
+    },
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_wavelengths_do_not_allow_is_named(message):
+    with spectral_variant(), pytest.raises(UnsupportedError, match=message):
+        scene = {"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
+        load(scene | {"ball": ball(REFUSED[message]())})
+
+
+def ball(bsdf):
+    return {"type": "sphere", "bsdf": bsdf}
+
+
+def test_raw_numbers_and_normals_are_allowed():
+    with spectral_variant():
+        numbers = {"type": "bitmap", "data": mi.TensorXf([0.3] * 4, (2, 2, 1)), "raw": True}
+        normals = {"type": "bitmap", "data": mi.TensorXf([0.5, 0.5, 1.0] * 4, (2, 2, 3)), "raw": True}
+        rough = {"type": "roughconductor", "material": "Au", "alpha": numbers}
+        mapped = {"type": "normalmap", "normalmap": normals, "bsdf": rough}
+        look = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+        scene = {"type": "scene", "sky": {"type": "constant"}, "ball": ball(mapped)}
+        problem = load(scene | {"sensor": {"type": "perspective", "to_world": look}}, size=(4, 4))
+        assert run(problem, "path", passes=4, samples=16).mean.min() > 0.2
