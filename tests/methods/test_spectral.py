@@ -74,6 +74,31 @@ def test_the_methods_agree_with_mitsuba(method):
     assert_agree(pictures(problem, method), theirs, method, precision=0.03)
 
 
+#: Radiance by wavelength: an LED, lines of a fluorescent tube, and a number.
+LAMPS = {
+    "led": {
+        "type": "irregular",
+        "wavelengths": "380, 430, 450, 470, 490, 560, 620, 700, 780",
+        "values": "0, 0.5, 9, 2, 0.8, 4, 3, 0.5, 0",
+    },
+    "lines": {
+        "type": "irregular",
+        "wavelengths": "360, 430, 437, 444, 538, 546, 554, 604, 612, 620, 830",
+        "values": "0.3, 0.3, 9, 0.3, 0.3, 16, 0.3, 0.3, 14, 0.3, 0.3",
+    },
+    "even": {"type": "spectrum", "value": 4.0},
+}
+
+
+@pytest.mark.parametrize("lamp", LAMPS)
+def test_lamps_with_spectra_are_those_of_mitsuba(lamp):
+    problem = load(coloured(LAMPS[lamp]))
+    theirs = mitsuba_path(problem, 8, 2048, max_depth=8)
+    # Lines are narrower than the distance of the wavelengths of 16 passes.
+    ours = replicas(problem, "bpt", 6, 128 if lamp == "lines" else 16, 4, max_depth=8)
+    assert_agree(ours, theirs, lamp, precision=0.03)
+
+
 @pytest.mark.parametrize(
     ("glass", "method"),
     thinned(

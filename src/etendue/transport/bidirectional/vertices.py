@@ -148,7 +148,7 @@ class LightVertices:
     ) -> int:
         """Device memory of a stored vertex in bytes, including the copy and the grid for merging, and what sorting it
         by its class takes."""
-        bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
+        bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0) + 8 * is_spectral()
         return (
             bytes_ + (48 + 24 if merged else 0) + (32 if linear else 0) + (8 if owned else 0) + (24 if classed else 0)
         )
