@@ -24,7 +24,7 @@ BARS, COST_BAR = {"vcm": 0.01}, 1.6
 #: Mitsuba's integrator, as a row.
 _MITSUBA = "Mitsuba path"
 #: Least difference of two channels, relative to the largest, of a pixel of the spectrum, and its least value.
-_COLOURED, _LIT = 0.4, 0.02
+_COLOURED, _LIT = 0.4, 1.0
 #: Times the time of a picture for each half of the reference.
 _HALF = 4.0
 

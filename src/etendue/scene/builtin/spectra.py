@@ -55,9 +55,9 @@ def prism() -> dict[str, Any]:
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f(sheet),
             "bsdf": matt(0.0, 0.0, 0.0),
-            "emitter": {"type": "directionalarea", "radiance": {"type": "d65", "scale": 8.0}},
+            "emitter": {"type": "directionalarea", "radiance": {"type": "d65", "scale": 400.0}},
         },
-        "dusk": {"type": "constant", "radiance": rgb(0.004, 0.0042, 0.0046)},
+        "dusk": {"type": "constant", "radiance": rgb(0.2, 0.21, 0.23)},
     }
 
 
