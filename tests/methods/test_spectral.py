@@ -113,10 +113,9 @@ def test_dispersed_light_is_that_of_mitsuba_s_integrator(glass, method):
     assert_agree(pictures(problem, method, samples=32), theirs, f"{glass} {method}", precision=0.03)
 
 
-@pytest.mark.parametrize("method", ["light", "bpt"])
-def test_connections_of_dispersed_paths(method):
-    """A rough ball between the lamp and the floor, and the camera in a dispersive shell: both ends of a connection may
-    carry the hero alone."""
+@pytest.mark.parametrize("method", thinned(["light", "bpt", "vcm", "sppm"], ("bpt", "sppm")))
+def test_connections_and_merges_of_dispersed_paths(method):
+    """A rough ball in a rough shell: both ends of a connection or a merge may carry the hero alone."""
     scene = still_life(GLASSES["rough"])
     scene["shell"] = {"type": "sphere", "center": [0, 0.7, 0], "radius": 0.75, "bsdf": GLASSES["rough"]}
     problem = load(scene)

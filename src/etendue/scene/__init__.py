@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         DISPERSES as DISPERSES,
         Packet as Packet,
         brightness as brightness,
+        entry as entry,
         hero_alone as hero_alone,
         is_rgb as is_rgb,
         is_spectral as is_spectral,

@@ -8,7 +8,7 @@ R passes are a quadrature of 4 R points. Under other variants light has no wavel
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -77,6 +77,14 @@ def spread_wavelengths(lanes: int = 1) -> mi.Spectrum:
         return mi.Color0f()
     lane = dr.arange(mi.Float, lanes)
     return mi.Spectrum(*(400.0 + 75.0 * (k + (lane + 0.5) / lanes) for k in range(4)))
+
+
+def entry(values: Iterable[mi.Float], number: mi.UInt32) -> mi.Float:
+    """One of some values by its number, as of a spectrum by that of a wavelength."""
+    *others, found = values
+    for k, one in reversed(list(enumerate(others))):
+        found = dr.select(number == k, one, found)
+    return found
 
 
 class Packet:

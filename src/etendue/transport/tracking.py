@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource, hash_mix, keyed_bits, to_unit_float
-from etendue.scene import Media
+from etendue.scene import Media, entry
 
 from . import dimensions as dim
 
@@ -112,10 +112,7 @@ def in_channel(colour: mi.Spectrum | mi.Float, channel: mi.UInt32 | None) -> mi.
         return colour
     if channel is None:
         return colour[0]
-    *others, found = colour
-    for number, one in reversed(list(enumerate(others))):
-        found = dr.select(channel == number, one, found)
-    return found
+    return entry(colour, channel)
 
 
 def _bits(number: mi.Float) -> mi.UInt32:

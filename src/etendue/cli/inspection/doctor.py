@@ -188,4 +188,6 @@ def _variant(checks: list[Check]) -> Check:
     usable = [check.name.split()[-1] for check in checks if check.name.startswith("kernel") and check.status == "ok"]
     if not usable:
         return Check("variants", "fail", "none is usable", "fix what is wrong above")
-    return Check("variants", "ok", f"{', '.join(usable)}; by default étendue takes {usable[-1]}")
+    backend_of = usable[-1].partition("_")[0]
+    others = f"{backend_of}_ad_spectral has wavelengths (dispersion, measured spectra), {backend_of}_ad_mono is grey"
+    return Check("variants", "ok", f"{', '.join(usable)}; by default étendue takes {usable[-1]}; {others}")

@@ -23,7 +23,7 @@ import mitsuba as mi
 from etendue.core import OptionError, UnsupportedError, is_number
 
 from ..both import pdf_of_both, value_of_both
-from ..packet import DISPERSES, is_hero_chosen, is_spectral
+from ..packet import DISPERSES, entry, is_hero_chosen, is_spectral
 from .glasses import Index, constant, glass, of_abbe
 from .parameters import block, check_range, number
 
@@ -87,7 +87,7 @@ def make_dispersive(is_rough: bool) -> type:
 
         def _alone(self, si: mi.SurfaceInteraction3f, chosen: mi.UInt32) -> mi.Spectrum:
             """Factors on what is refracted in the direction of one of the wavelengths: of those that are the same."""
-            one = _pick(list(si.wavelengths), chosen)
+            one = entry(si.wavelengths, chosen)
             same = [dr.select(w == one, mi.Float(1.0), 0.0) for w in si.wavelengths]
             return mi.Spectrum(*same) * (4.0 / sum(same))
 
@@ -107,7 +107,7 @@ def make_dispersive(is_rough: bool) -> type:
             m, active = mi.Normal3f(0.0, 0.0, 1.0), active & (cos_i != 0.0)
             if is_rough:
                 m, _ = self._facets().sample(dr.mulsign(si.wi, cos_i), sample2)
-            fresnel, cos_t, eta_it, eta_ti = mi.fresnel(dr.dot(si.wi, m), _pick(etas, chosen))
+            fresnel, cos_t, eta_it, eta_ti = mi.fresnel(dr.dot(si.wi, m), entry(etas, chosen))
             may_reflect, may_transmit = (ctx.is_enabled(flag, k) for k, flag in enumerate(self._lobes()))
             share = (fresnel if may_transmit else mi.Float(1.0)) if may_reflect else mi.Float(0.0)
             if not may_reflect and not may_transmit:
@@ -206,13 +206,6 @@ def make_dispersive(is_rough: bool) -> type:
 
     Dispersive.__name__ = Dispersive.__qualname__ = f"{name.capitalize()}BSDF"
     return Dispersive
-
-
-def _pick(values: list[mi.Float], chosen: mi.UInt32) -> mi.Float:
-    *others, found = values
-    for k, one in reversed(list(enumerate(others))):
-        found = dr.select(chosen == k, one, found)
-    return found
 
 
 def _inside(props: mi.Properties, owner: str) -> Index:
