@@ -3,12 +3,14 @@
 import json
 
 import mitsuba as mi
+import numpy as np
 import pytest
 from support.running import run
 from support.spectral import spectral_variant
 
 from etendue.core import UnsupportedError
-from etendue.scene import bundled_scene, colours_of, load
+from etendue.scene import SceneEditor, bundled_scene, colours_of, load, name_elements
+from etendue.scene.lamps.radiance import is_black
 
 GLASS = {"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "mask", "nested": {"type": "roughdispersive"}}}}
 XML = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}"/></shape></scene>'
@@ -65,3 +67,25 @@ def test_raw_numbers_and_normals_are_allowed():
         scene = {"type": "scene", "sky": {"type": "constant"}, "ball": ball(mapped)}
         problem = load(scene | {"sensor": {"type": "perspective", "to_world": look}}, size=(4, 4))
         assert run(problem, "path", passes=4, samples=16).mean.min() > 0.2
+
+
+def lit_by(texture):
+    return {"type": "rectangle", "emitter": {"type": "area", "radiance": texture}}
+
+
+@pytest.mark.parametrize(("level", "black"), [(0.0, True), (0.1, False), (0.5, False), (1.0, False)])
+def test_a_grey_lamp_is_not_black(level, black):
+    """Coefficients of a grey spectrum are zero, or negative."""
+    with spectral_variant():
+        picture = mi.Bitmap(np.full((2, 2, 3), level, np.float32))
+        lamp = mi.load_dict(lit_by({"type": "bitmap", "bitmap": picture}))
+        assert is_black(lamp.emitter()) == black
+
+
+def test_what_has_spectra_is_not_edited_as_a_colour():
+    with spectral_variant():
+        problem = load("diamond", change=name_elements)
+        found = {one.key: one.kind for one in SceneEditor(problem.scene).list()}
+    assert "colour" not in found.values()
+    assert "lamp-0.to_world" in found and "diamond.bsdf.specular_reflectance.value" in found
+    assert not [key for key in found if "_index_" in key]  # a file has no such parameters

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import OptionError, suggest
 
 from ..graph import contents, plugin_name
+from ..packet import is_spectral
 from .transforms import fault, misshapen
-from .values import TEXTURE, TRANSFORM, Range, Value, checked, for_scene, kind_of, plain, range_of
+from .values import COLOUR, TEXTURE, TRANSFORM, Range, Value, checked, for_scene, kind_of, plain, range_of
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -110,10 +111,12 @@ class SceneEditor:
         owner = self._owners[key]
         name = key.rsplit(".", 1)[-1]
         group = self._groups.get(id(owner))
-        if group is None or name in _UNUSED or name.endswith("_sampling_rate"):
+        if group is None or name in _UNUSED or name.endswith("_sampling_rate") or "_index_" in name:
             return None
         value = self._values[key]
         kind = kind_of(value)
+        if kind == COLOUR and is_spectral():  # coefficients of a spectrum, and no colour
+            return None
         if kind is None or (group == SHAPE and (name != "to_world" or kind != TRANSFORM)):
             return None
         if group == MEDIUM and (kind == TEXTURE or (self.fixed and name == "scale")):  # per length of the render space

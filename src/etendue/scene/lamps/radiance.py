@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..graph import as_array, contents, plugin_name
-from ..packet import spread_wavelengths
+from ..packet import is_spectral, spread_wavelengths
 
 #: Shapes that sample points uniformly by an invertible map of the unit square. All other lights are meshes.
 SURFACES = ("rectangle", "disk", "sphere", "cylinder")
@@ -85,6 +85,8 @@ def is_black(emitter: mi.Emitter) -> bool:
 
 
 def _is_black_texture(texture: mi.Texture) -> bool:
+    if plugin_name(texture) == "bitmap" and is_spectral():  # its data are coefficients
+        return float(np.asarray(texture.mean()).ravel()[0]) <= 0.0
     if plugin_name(texture) == "bitmap":
         return bool((as_array(dict(contents(texture).values)["data"]) <= 0).all())
     try:
