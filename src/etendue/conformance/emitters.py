@@ -163,7 +163,7 @@ def _check_power(findings: Findings, emitter: mi.Emitter, scene: mi.Scene, rays:
     _, weight = emitter.sample_ray(0.0, uniform(rng, rays, 1), uniform(rng, rays, 2), uniform(rng, rays, 2))
     carried = host(weight, rays)
     mean, error = carried.mean(0), carried.std(0) / np.sqrt(rays)
-    expected, expected_error = reference
+    expected, expected_error = (_nanometres() * value for value in reference)
     difference = np.abs(mean - expected)
     tolerance = _SIGMAS * np.hypot(error, expected_error) + 2e-3 * expected
     channel = int(np.argmax(difference - tolerance))
@@ -180,12 +180,11 @@ def _check_power(findings: Findings, emitter: mi.Emitter, scene: mi.Scene, rays:
 
 
 def _power(emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Generator) -> tuple[Array, Array] | None:
-    """Emitted power for each channel and its standard error, from the radiance alone; under a spectral variant, over
-    all wavelengths, four times."""
-    flags, wavelengths, range_of = emitter.flags(), spread_wavelengths(), 1.0
+    """Emitted power for each channel and its standard error, from the radiance alone; under a spectral variant, that of
+    a nanometre, on average, four times."""
+    flags, wavelengths = emitter.flags(), spread_wavelengths()
     if is_spectral():
-        range_of = mi.MI_CIE_MAX - mi.MI_CIE_MIN
-        wavelengths = mi.Spectrum(*(mi.MI_CIE_MIN + range_of * uniform(rng, rays, 1) for _ in range(4)))
+        wavelengths = mi.Spectrum(*(mi.MI_CIE_MIN + _nanometres() * uniform(rng, rays, 1) for _ in range(4)))
     sphere = scene.bbox().bounding_sphere()
     disc = np.pi * float(np.asarray(sphere.radius).ravel()[0]) ** 2
     if is_surface(emitter):
@@ -195,16 +194,16 @@ def _power(emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Gener
         area = float(np.asarray(shape.surface_area()).ravel()[0])
         si = mi.SurfaceInteraction3f(shape.sample_position(0.0, uniform(rng, rays, 2)), wavelengths)
         si.wi = mi.warp.square_to_cosine_hemisphere(uniform(rng, rays, 2))
-        return _moments(range_of * np.pi * area * host(emitter.eval(si), rays))
+        return _moments(np.pi * area * host(emitter.eval(si), rays))
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
         if mi.has_flag(flags, mi.EmitterFlags.DeltaDirection):
             it = _at(np.asarray(sphere.center).ravel(), rays)
             it.wavelengths = wavelengths
             _, weight = emitter.sample_direction(it, mi.Point2f(0.5))
-            return _moments(range_of * disc * host(weight, rays))
+            return _moments(disc * host(weight, rays))
         si = dr.zeros(mi.SurfaceInteraction3f, rays)
         si.wi, si.wavelengths = vectors(uniform_sphere(rng, rays)), wavelengths
-        return _moments(range_of * 4.0 * np.pi * disc * host(emitter.eval(si), rays))
+        return _moments(4.0 * np.pi * disc * host(emitter.eval(si), rays))
     if not mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         return None
     ray, _ = emitter.sample_ray(0.0, mi.Float(0.5), mi.Point2f(0.5), mi.Point2f(0.5))
@@ -213,7 +212,12 @@ def _power(emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Gener
     it = dr.zeros(mi.Interaction3f, rays)
     it.p, it.wavelengths = mi.Point3f(np.ascontiguousarray((origin + distance * d).T, np.float32)), wavelengths
     _, weight = emitter.sample_direction(it, mi.Point2f(0.5))
-    return _moments(range_of * 4.0 * np.pi * distance**2 * host(weight, rays))
+    return _moments(4.0 * np.pi * distance**2 * host(weight, rays))
+
+
+def _nanometres() -> float:
+    """Range of the wavelengths over which sampled rays carry power; 1 without wavelengths."""
+    return float(mi.MI_CIE_MAX - mi.MI_CIE_MIN) if is_spectral() else 1.0
 
 
 def _moments(values: Array) -> tuple[Array, Array]:

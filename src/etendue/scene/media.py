@@ -44,11 +44,11 @@ def _media(scene: mi.Scene, sensor: mi.Sensor | None) -> Iterator[mi.Medium | No
             yield end.get_medium()
 
 
-def coefficients(medium: mi.Medium, wavelengths: mi.Spectrum | None = None) -> tuple[Array, Array]:
+def coefficients(medium: mi.Medium, wavelengths: mi.Spectrum) -> tuple[Array, Array]:
     """(extinction, scattering) of a medium by colour channel, per unit of length, on the host, at the origin;
-    ``wavelengths``: of the channels, one packet, under a spectral variant."""
+    ``wavelengths``: of the channels, under a spectral variant."""
     at = dr.zeros(mi.MediumInteraction3f)
-    at.wavelengths = spread_wavelengths() if wavelengths is None else wavelengths
+    at.wavelengths = wavelengths
     scattering, _, extinction = medium.get_scattering_coefficients(at)
     return np.array(extinction, np.float64).ravel(), np.array(scattering, np.float64).ravel()
 

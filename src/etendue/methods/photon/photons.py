@@ -158,8 +158,6 @@ def reflected_by(
         f, pdf = vertex.bsdf.call(mi.BSDF.eval_pdf, *arguments, active=active)
         f = dr.select(peaks.gathers(pdf, photons.component(photon, active)), f, 0.0)
     value = p.fluence * f
-    if p.hero_alone is not None:
-        value = dr.select(p.hero_alone & vertex.hero_goes_on(p.direction), 0.25 * value, value)
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 

@@ -376,8 +376,6 @@ class CameraWalk(BidirectionalWalk):
         weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
         distance_squared, weight = weigh_photon(vertex, position, p, gather.in_media)
         value = p.fluence * f.value * weight
-        if p.hero_alone is not None:
-            value = dr.select(p.hero_alone & vertex.hero_goes_on(p.direction), 0.25 * value, value)
         inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:
             alone = value * s.throughput * factors[0]

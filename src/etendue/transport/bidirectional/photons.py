@@ -119,17 +119,21 @@ def weighting(
 
 def weigh(vertex: WalkVertex, position: mi.Point3f, photon: Photon, in_media: bool) -> tuple[mi.Float, mi.Float]:
     """(squared distance of a photon, its weight), on surfaces by :func:`unfolded`; ``in_media``, photons of another
-    medium have a weight of 0.
+    medium have a weight of 0. If photon and vertex both have light of the hero alone, both count it four times.
 
     Where the extinction varies, the photons' fluence samples the radiance around the vertex with an unbounded variance
     if divided by the extinction at the photon, and so does the flux if divided by that at the vertex. The mean of both
     is bounded, and of second order in the radius, too."""
-    if not in_media:
-        return unfolded(vertex.si, position, photon)
-    weight = dr.select(photon.medium == vertex.medium, mi.Float(1.0), 0.0)
-    if photon.extinction is not None and vertex.extinction is not None:
-        weight *= 2.0 * photon.extinction / (photon.extinction + mean(vertex.extinction))
-    return dr.squared_norm(position - vertex.position), weight
+    if in_media:
+        distance_squared = dr.squared_norm(position - vertex.position)
+        weight = dr.select(photon.medium == vertex.medium, mi.Float(1.0), 0.0)
+        if photon.extinction is not None and vertex.extinction is not None:
+            weight *= 2.0 * photon.extinction / (photon.extinction + mean(vertex.extinction))
+    else:
+        distance_squared, weight = unfolded(vertex.si, position, photon)
+    if photon.hero_alone is not None:
+        weight *= dr.select(photon.hero_alone & vertex.hero_goes_on(photon.direction), 0.25, 1.0)
+    return distance_squared, weight
 
 
 def unfolded(si: mi.SurfaceInteraction3f, position: mi.Point3f, photon: Photon) -> tuple[mi.Float, mi.Float]:
