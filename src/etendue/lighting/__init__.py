@@ -1,0 +1,4 @@
+"""Lighting design and daylight as numbers: photometric files, skies, the sun, weather, units. NumPy only."""
+
+from .errors import LightingError as LightingError
+from .units import EFFICACY as EFFICACY
