@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         film as film,
         formats as formats,
         integration as integration,
+        lighting as lighting,
         methods as methods,
         particles as particles,
         plugins as plugins,
@@ -45,12 +46,14 @@ if TYPE_CHECKING:
     from .products import (
         FormFactorResult as FormFactorResult,
         RadiosityResult as RadiosityResult,
+        Readings as Readings,
         Rendering as Rendering,
         Update as Update,
     )
     from .verbs import (
         compute_form_factors as compute_form_factors,
         map_particles as map_particles,
+        measure as measure,
         read_particles as read_particles,
         render as render,
         resume as resume,

@@ -1,4 +1,4 @@
-"""What one does with étendue, as functions: render, resume, compute form factors, solve radiosity, trace particles.
+"""What one does with étendue, as functions: render, measure, compute form factors, solve radiosity and so on.
 
 Each function makes a task of its arguments, and runs it here or, with ``wait=False``, in the background. The rooms that
 it needs are imported when it is called.
@@ -6,9 +6,12 @@ it needs are imported when it is called.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, Protocol, TypeVar, cast, overload
+
+import numpy as np
 
 from etendue.core import OptionError, logger, use_variant
 
@@ -16,8 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from etendue.engine import Checkpoint, Session, Task
+    from etendue.lighting import Meters, Quantity
     from etendue.particles import Particles
-    from etendue.products import Callback, FormFactorResult, PathLike, RadiosityResult, Rendering
+    from etendue.products import Callback, FormFactorResult, PathLike, RadiosityResult, Readings, Rendering
     from etendue.products.particles import MadeMap, ParticleResult
     from etendue.products.patches import FactorRun, SolutionRun
     from etendue.viewer import Viewer
@@ -96,6 +100,65 @@ def render(
     budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
     source = SceneSource(scene, size, sensor, parameters, memory)
     return _run(picture_task(source, kind, product, settings, seed, budget), callback, cluster, workers, wait)
+
+
+@_verb
+def measure(
+    scene: Any,
+    meters: Meters | PathLike | ArrayLike,
+    directions: ArrayLike = (0.0, 0.0, 1.0),
+    method: str = "path",
+    *,
+    quantity: Quantity = "irradiance",
+    seconds: float | None = None,
+    spp: int | None = None,
+    error: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    photometric: bool = False,
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+    **settings: Any,
+) -> Readings:
+    """Measure irradiance, or radiance, at points of a scene, which needs no camera.
+
+    meters: points (n, 3), :class:`etendue.lighting.Meters`, or a file of points and directions that
+        :meth:`etendue.lighting.Meters.read` takes.
+    directions: with points: the normals of meters of irradiance, or the directions in which meters of radiance look;
+        (n, 3), or one for all.
+    quantity: with points or a file: ``irradiance`` or ``radiance``.
+    method: ``path``, ``guided`` or ``bpt``.
+    seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
+        relative standard error; without limits 4096 paths.
+    save: tables, ``.csv``; with ``photometric`` in lx or cd/m^2.
+
+    Paths have any number of edges unless ``max_depth`` says otherwise; 2 is the direct light. The other arguments and
+    the errors are those of :func:`render`; :class:`etendue.lighting.LightingError` for meters that are not valid,
+    :class:`SceneError` for meters inside solids.
+    """
+    from etendue.engine import Task
+    from etendue.lighting import Meters
+    from etendue.products import MeterTable, budget_of, choose_method
+    from etendue.scene import SceneSource, colours_of
+
+    if isinstance(meters, (str, os.PathLike)):
+        placed = Meters.read(Path(meters), quantity)
+    elif isinstance(meters, Meters):
+        placed = meters
+    else:
+        placed = Meters(np.atleast_2d(meters), np.atleast_2d(directions), quantity)
+    product = MeterTable.of(placed, save, photometric)
+    use_variant(variant, colours_of(scene))
+    kind = choose_method(method, scene, parameters)
+    kind.Settings.check_arguments(settings, f"method '{kind.name}'", measure)
+    budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
+    source = SceneSource(scene, parameters=parameters, memory=memory, meters=placed)
+    return _run(Task(source, kind, product, settings, seed, budget), callback, cluster, workers, wait)
 
 
 @_verb

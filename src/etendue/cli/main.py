@@ -36,6 +36,7 @@ from .developing import develop
 from .film_picture import film_picture
 from .inspection.viewing import view
 from .interrupts import leaving
+from .measuring import MeasureCommand, measure
 from .particle_maps import app as particles
 from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
 from .pictures import PictureCommand, compare, demo, render, run
@@ -156,6 +157,7 @@ def root(
 
 
 app.command(cls=PictureCommand)(render)
+app.command(cls=MeasureCommand)(measure)
 
 
 @app.command()

@@ -202,6 +202,9 @@ class ImageMethod(Method):
     media: ClassVar[str | None] = "absorbing"
     #: Whether the method renders under variants whose light is not RGB.
     spectral: ClassVar[bool] = False
+    #: Whether meters may take the place of a camera: not if photons are merged, of which there are none on meters, nor
+    #: if paths are chosen by where they are in a picture.
+    measures: ClassVar[bool] = False
     recording = Recording()  #: of the rays of the next walks
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
@@ -231,6 +234,8 @@ class ImageMethod(Method):
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
+        if graph.plugin_name(problem.sensor) == "meters" and not self.measures:
+            raise UnsupportedError(f"method '{self.name}' does not measure at points; use path, guided or bpt")
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
         self.packet = Packet()

@@ -55,8 +55,15 @@ if TYPE_CHECKING:
         refuse_media as refuse_media,
         scatters as scatters,
     )
-    from .members import Material as Material, Members as Members, bsdfs as bsdfs, emitters as emitters
+    from .members import (
+        Material as Material,
+        Members as Members,
+        bsdfs as bsdfs,
+        emitters as emitters,
+        measured_on as measured_on,
+    )
     from .meshes import box as box, joined as joined
+    from .meters import with_meters as with_meters
     from .models.reading import emits as emits
     from .packet import (
         DISPERSES as DISPERSES,

@@ -54,7 +54,7 @@ def load(
     source: Source,
     *,
     size: Size | None = None,
-    sensor: int = 0,
+    sensor: int | None = 0,
     parameters: Mapping[str, Any] | None = None,
     memory: int | None = None,
     camera: Camera | None = None,
@@ -67,11 +67,12 @@ def load(
     scene (see :func:`locate`), a :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width,
     height) replaces the film's size, and a crop window keeps its proportions; field of view and ``fov_axis`` have the
     same meaning as in a file with that size (a loaded scene does not report its ``fov_axis``: its horizontal field of
-    view is kept). A loaded scene is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it,
-    except in loaded scenes. ``parameters`` gives values to ``$variables`` of an XML file. ``memory`` limits what a
-    method stores, in bytes. The scene's integrator is reported, not built. Without ``check`` unsupported elements
-    raise no error. ``change`` (such as :class:`LightEdits`) changes the parsed scene before its objects are built;
-    equivalent elements and meshes are then not merged.
+    view is kept). A loaded scene is not changed. ``sensor`` is an index into the scene's sensors, ``None`` for any or
+    none, where the scene is not looked at through it; ``camera`` moves it, except in loaded scenes. ``parameters``
+    gives values to ``$variables`` of an XML file. ``memory`` limits what a method stores, in bytes. The scene's
+    integrator is reported, not built. Without ``check`` unsupported elements raise no error. ``change`` (such as
+    :class:`LightEdits`) changes the parsed scene before its objects are built; equivalent elements and meshes are then
+    not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -229,7 +230,7 @@ def _from_parser(
     config: mi.parser.ParserConfig,
     state: mi.parser.ParserState,
     size: Size | None,
-    sensor: int,
+    sensor: int | None,
     memory: int | None,
     camera: Camera | None,
     check: bool,
@@ -342,7 +343,7 @@ def _remedy(text: str) -> str:
     return "correct the scene"
 
 
-def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
+def _from_scene(scene: mi.Scene, size: Size | None, sensor: int | None, memory: int | None, check: bool) -> Problem:
     import mitsuba as mi
 
     from .immersion import check_media
@@ -364,13 +365,25 @@ def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | N
     return _problem(scene, chosen, name, depth, options, "<scene>", memory, "", check, remarks=remarks)
 
 
-def _sensor(scene: mi.Scene, index: int, name: str) -> mi.Sensor:
+def _sensor(scene: mi.Scene, index: int | None, name: str) -> mi.Sensor:
     sensors = scene.sensors()
+    if index is None:
+        return sensors[0] if sensors else _stand_in(scene)
     if not sensors:
         raise SceneError(f"{name} has no sensor, so there is nothing to render; add a 'perspective' sensor")
     if not 0 <= index < len(sensors):
         raise OptionError(f"{name} has no sensor {index}; choose one of 0 to {len(sensors) - 1}")
     return sensors[index]
+
+
+def _stand_in(scene: mi.Scene) -> mi.Sensor:
+    """A camera in the middle of a scene that has none."""
+    import mitsuba as mi
+
+    place = mi.ScalarTransform4f().translate(scene.bbox().center())
+    return mi.load_dict(
+        {"type": "perspective", "to_world": place, "film": {"type": "hdrfilm", "width": 1, "height": 1}}
+    )
 
 
 def _problem(

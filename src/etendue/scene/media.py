@@ -146,7 +146,7 @@ class Media:
         self.divides_lamps = UNKNOWN in outside
         self._of_light = on_device(mi.UInt32, list(outside) or [0])
         #: The materials of the scene, and the phase functions as such.
-        self.bsdfs = bsdfs(scene)
+        self.bsdfs = bsdfs(scene, sensor)
         if kept:
             ids = [*self.bsdfs.ids, *ids]
             self.bsdfs = Members(mi.BSDFPtr, ids, ids, kept)

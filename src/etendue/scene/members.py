@@ -85,10 +85,18 @@ def emitters(scene: mi.Scene) -> Members:
     return Members(mi.EmitterPtr, ids, ids)
 
 
-def bsdfs(scene: mi.Scene) -> Members:
-    """The BSDFs of a scene's shapes by their pointers. Those inside other BSDFs are left out: no ray
-    finds them."""
+def bsdfs(scene: mi.Scene, sensor: mi.Sensor | None = None) -> Members:
+    """The BSDFs of a scene's shapes, and of the surfaces of meters, by their pointers. Those inside other BSDFs are
+    left out: no ray finds them."""
     own = [bsdf for shape in shapes(scene) if (bsdf := shape.bsdf()) is not None]
+    white = measured_on(sensor)
+    if white is not None:
+        own.append(white)
     spare = [] if own else [mi.load_dict({"type": "diffuse"})]  # an empty part of a divided scene: never found
     ids = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in own or spare}
     return Members(mi.BSDFPtr, sorted(ids), sorted(ids), spare)
+
+
+def measured_on(sensor: mi.Sensor | None) -> mi.BSDF | None:
+    """The material of the surfaces at whose points a sensor measures irradiance; None for other sensors."""
+    return getattr(sensor, "surface", None)

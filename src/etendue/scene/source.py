@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any, Self
 
 from etendue.core import CheckpointError, Ingredients, OptionError, SceneError, is_whole, logger
+from etendue.lighting import Meters
 
 from .builtin.table import BundledScene, bundled_scene
 from .camera import Camera
 from .editing import is_described
 from .loading import checked_size, load, locate
+from .meters import with_meters
 from .parts import load_part, part_files, unmerged
 from .portables import PortableScene, portable, restored
 from .problem import Problem
@@ -34,6 +36,7 @@ class SceneSource:
     memory: int | None = None
     camera: Camera | None = None
     merge: bool = True  #: whether meshes may be merged; if not, shapes keep their names and order
+    meters: Meters | None = None  #: in place of the sensor
 
     def __post_init__(self) -> None:
         for name, what, least in (
@@ -51,15 +54,16 @@ class SceneSource:
     def open(self, tell: Callable[[str], object] = logger.info) -> Problem:
         """Load the scene. ``tell`` receives a remark if its name is ambiguous."""
         scene = locate(self.scene, tell) if isinstance(self.scene, (str, os.PathLike)) else self.scene
-        return load(
+        problem = load(
             scene,
             size=self.size,
-            sensor=self.sensor,
+            sensor=self.sensor if self.meters is None else None,
             parameters=self.parameters,
             memory=self.memory,
             camera=self.camera,
             change=None if self.merge or not is_described(scene) else unmerged,
         )
+        return problem if self.meters is None else with_meters(problem, self.meters)
 
     def place(self) -> dict[str, Any]:
         """Plain values for :meth:`at`. The scene is ``source``, a file, or ``bundled``, a name; neither if it is in
@@ -74,6 +78,8 @@ class SceneSource:
             place["camera"] = self.camera.to_dict()
         if not self.merge:
             place["merge"] = False
+        if self.meters is not None:
+            place["meters"] = self.meters.to_dict()
         return place
 
     @classmethod
@@ -87,6 +93,8 @@ class SceneSource:
             known["size"] = tuple(place["size"])
         if "camera" in place:
             known["camera"] = Camera(**{"fov_axis": "y", **place["camera"]})  # version 1 had this axis only
+        if "meters" in place:
+            known["meters"] = Meters(**place["meters"])
         return cls(scene, **known)
 
     def ingredients(self, problem: Problem) -> Ingredients:
@@ -97,6 +105,8 @@ class SceneSource:
             values["camera"] = self.camera.to_dict()
         if not self.merge:
             values["merge"] = False
+        if self.meters is not None:
+            values["meters"] = self.meters.to_dict()
         return Ingredients(f"{__name__}:open_scene", values, scene.arrays, scene.files)
 
     def part_ingredients(self, shapes: Collection[str]) -> Ingredients:
@@ -136,12 +146,14 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
     if "part" in values:
         return load_part(scene, values["part"], parameters or None)
     size, camera = values["size"], values.get("camera")
-    return load(
+    meters = values.get("meters")
+    problem = load(
         scene,
         size=None if size is None else tuple(size),
-        sensor=values["sensor"],
+        sensor=values["sensor"] if meters is None else None,
         parameters=parameters or None,
         memory=values["memory"],
         camera=None if camera is None else Camera(**camera),
         change=None if values.get("merge", True) else unmerged,
     )
+    return problem if meters is None else with_meters(problem, Meters(**meters))

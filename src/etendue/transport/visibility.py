@@ -26,6 +26,7 @@ from etendue.scene import (
     bsdfs,
     graph,
     materials,
+    measured_on,
     media_in,
     medium_at,
     medium_behind,
@@ -55,7 +56,9 @@ class Visibility:
         self.packet = packet or Packet()
         #: The participating media; None if there are none.
         self.media = media_in(scene, sensor)
-        self.bsdfs = bsdfs(scene) if self.media is None else self.media.bsdfs
+        self.bsdfs = bsdfs(scene, sensor) if self.media is None else self.media.bsdfs
+        #: The material of meters, on which camera paths begin; None: they begin at a camera.
+        self.measured_on = measured_on(sensor)
         found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
         self.transparent = any(map(_passes, found))
         #: Whether refraction depends on the wavelength.
@@ -77,6 +80,19 @@ class Visibility:
     def material(self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f) -> Material:
         """The material at the end of a ray."""
         return Material(si.bsdf(ray), self.bsdfs)
+
+    def begin_on_meter(
+        self, si: mi.SurfaceInteraction3f, material: Material, ray: mi.Ray3f, first: mi.Bool
+    ) -> mi.SurfaceInteraction3f:
+        """The end of the edges that are the ``first`` of a camera path, if there are meters: it is the origin of the
+        ray, on a surface that the ray meets at a right angle."""
+        there = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray.o))
+        there.t, there.time, there.wavelengths = 1.0, ray.time, ray.wavelengths
+        there.p, there.n = ray.o, mi.Normal3f(-ray.d)
+        there.sh_frame = mi.Frame3f(-ray.d)
+        there.wi = mi.Vector3f(0.0, 0.0, 1.0)
+        material.pointer = dr.select(first, mi.BSDFPtr(self.measured_on), material.pointer)
+        return dr.select(first, there, si)
 
     def medium_outside(self, light: mi.UInt32, ray: mi.Ray3f) -> mi.UInt32 | None:
         """The medium in which rays start that leave a light; None in scenes without media."""

@@ -205,6 +205,8 @@ class Walker:
         if self.footprint is not None:
             set_footprint(si, s.ray.d, dr.select(s.depth == 1, self.footprint(si.p), 0.0))
         bsdf, medium = self.visibility.material(si, s.ray), None
+        if self.visibility.measured_on is not None and s.eta is not None:
+            si = self.visibility.begin_on_meter(si, bsdf, s.ray, s.depth == 1)
         passing = extinction = None
         if s.flight is not None and self.visibility.media is not None:
             media, medium = self.visibility.media, s.flight.medium

@@ -14,6 +14,7 @@ class Bpt(Bidirectional):
 
     name: ClassVar[str] = "bpt"
     Settings: ClassVar[type[ImageSettings]] = BptSettings
+    measures: ClassVar[bool] = True
     citations: ClassVar[tuple[str, ...]] = (
         "LafortuneWillems1993",
         "VeachGuibas1995",

@@ -16,6 +16,7 @@ from etendue.core import check_variant
 from .composed import composed_bsdf as composed_bsdf
 from .dispersive import make_dispersive
 from .focusarea import make_focusarea
+from .meters import make_meters
 from .mipmap import make_mipmap
 from .phong import PhongLobe
 from .reflection import make_reflection
@@ -33,7 +34,7 @@ _BSDFS = {
     "roughdispersive": lambda: make_dispersive(is_rough=True),
 }
 _EMITTERS = {"focusarea": make_focusarea}
-_SENSORS = {"spherical": make_spherical}
+_SENSORS = {"spherical": make_spherical, "meters": make_meters}
 _TEXTURES = {"mipmap": make_mipmap}
 
 

@@ -1,0 +1,78 @@
+"""Meters in a scene, as the pixels of a picture: methods that render pictures measure light through them.
+
+Irradiance E is pi times the radiance of a white surface, so that a meter is a vertex like any other: lamps are sampled
+from there, and light paths connected to it. Nothing in the scene meets this surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, SceneError, copied_to_device
+
+from .immersion import medium_at
+from .media import media_of
+from .problem import Problem
+from .space import largest_offset
+
+if TYPE_CHECKING:
+    from etendue.lighting import Meters
+
+#: Directions around a meter in which backs of surfaces are looked for, and most meters that a message names.
+_AROUND, _NAMED = 64, 3
+
+
+def with_meters(problem: Problem, meters: Meters) -> Problem:
+    """The scene of a problem, seen by meters, one pixel each.
+
+    Raises :class:`SceneError` for meters inside closed solids or in a medium.
+    """
+    points = problem.space.from_scene(meters.points)
+    measures_irradiance = meters.quantity == "irradiance"
+    _check_places(problem.scene, points, meters)
+    origins, directions = (
+        mi.TensorXf(np.ascontiguousarray(v, np.float32))
+        for v in (points, -meters.directions if measures_irradiance else meters.directions)
+    )
+    film = {"type": "hdrfilm", "width": len(meters), "height": 1, "filter": {"type": "box"}}
+    plugin = {"type": "meters", "origins": origins, "directions": directions, "irradiance": measures_irradiance}
+    return replace(problem, sensor=mi.load_dict(plugin | {"film": film}), size=(len(meters), 1))
+
+
+def _check_places(scene: mi.Scene, points: Array, meters: Meters) -> None:
+    """Raise :class:`SceneError` for meters in a medium, and for those from which rays in all directions meet backs of
+    surfaces that reflect and transmit nothing."""
+    number = np.arange(_AROUND)
+    z, phi = 1.0 - (2.0 * number + 1.0) / _AROUND, number * np.pi * (3.0 - np.sqrt(5.0))
+    around = np.stack([np.sqrt(1.0 - z * z) * np.cos(phi), np.sqrt(1.0 - z * z) * np.sin(phi), z], axis=1)
+    above = points + 2.0 * largest_offset(scene) * meters.directions  # a point may be on a surface
+    starts, ways = np.repeat(above, _AROUND, axis=0), np.tile(around, (len(points), 1))
+    o, d = (
+        mi.Vector3f(*(copied_to_device(mi.Float, np.ascontiguousarray(x, np.float32)) for x in v.T))
+        for v in (starts, ways)
+    )
+    ray = mi.Ray3f(mi.Point3f(o), d)
+    si = scene.ray_intersect(ray)
+    through = +mi.BSDFFlags.BackSide | +mi.BSDFFlags.Transmission | +mi.BSDFFlags.Null
+    dark = si.is_valid() & (dr.dot(si.n, ray.d) > 0.0) & ((si.bsdf().flags() & through) == 0)
+    inside = np.asarray(np.array(dark).reshape(-1, _AROUND).all(axis=1))
+    _refuse(meters, inside, "inside a solid: all around is the back of a surface")
+    if media_of(scene):
+        medium = medium_at(scene, ray, mi.Bool(True) & (dr.width(ray.d) > 0))
+        held = (np.array(medium).reshape(-1, _AROUND) != 0).mean(axis=1) > 0.5
+        _refuse(meters, held, "in a medium, where no light is measured")
+
+
+def _refuse(meters: Meters, wrong: NDArray[Any], why: str) -> None:
+    found = np.flatnonzero(wrong)
+    if not len(found):
+        return
+    which = ", ".join(f"{k} at {np.round(meters.points[k], 4).tolist()}" for k in found[:_NAMED])
+    rest = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    raise SceneError(f"meter {which}{rest}: {why}; move it")

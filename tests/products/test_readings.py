@@ -1,0 +1,143 @@
+"""Measuring: readings against closed forms, and their tables."""
+
+from __future__ import annotations
+
+import csv
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import etendue
+from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.film import LUMINANCE
+from etendue.lighting import EFFICACY, Meters
+
+UP = [[0.0, 0.0, 1.0]]
+
+
+def room(reflectance, **more):
+    """A cube of side 2 around the origin, seen from inside, without a camera."""
+    walls = {"type": "cube", "flip_normals": True, "bsdf": grey(reflectance)}
+    return {"type": "scene", "walls": walls, **more}
+
+
+def grey(reflectance):
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}
+
+
+def point(position, intensity=1.0):
+    return {"type": "point", "position": position, "intensity": {"type": "rgb", "value": intensity}}
+
+
+def floor(**more):
+    return {
+        "type": "scene",
+        "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4), "bsdf": grey(0.5)},
+        **more,
+    }
+
+
+@pytest.mark.parametrize("method", ["path", "guided", "bpt"])
+def test_a_point_lamp_is_exact(method):
+    # On a surface, above it right under the lamp, and tilted: I cos / d^2. Meters do not shade each other.
+    points = [[0, 0, 0], [0, 0, 1], [1, 0, 0], [1, 0, 0]]
+    scene = floor(lamp=point([0, 0, 2], [1.0, 2.0, 3.0]))
+    found = etendue.measure(scene, points, [[0, 0, 1], [0, 0, 1], [0, 0, 1], [-1, 0, 0]], method, spp=64, max_depth=2)
+    expected = [1 / 4, 1.0, 2 / 5**1.5, 1 / 5**1.5]
+    assert np.allclose(found.values, np.outer(expected, [1, 2, 3]), rtol=1e-4)
+    assert np.allclose(found.photometric, EFFICACY * found.values @ np.array(LUMINANCE))
+
+
+@pytest.mark.parametrize("method", ["path", "bpt"])
+def test_a_lit_disk_by_its_configuration_factor(method):
+    # A disk of radius 1 at height h over a parallel meter: F = 1 / (1 + h^2), E = pi L F.
+    place = mi.ScalarTransform4f().translate([0, 0, 1.5]) @ mi.ScalarTransform4f().rotate([1, 0, 0], 180)
+    lamp = {"type": "disk", "to_world": place, "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 2.0}}}
+    found = etendue.measure(floor(lamp=lamp), [[0, 0, 0.5]], UP, method, spp=4096, max_depth=2)
+    assert np.abs(found.values - np.pi * 2.0 / 2.0).max() < 4 * found.errors.max() < 0.02
+
+
+@pytest.mark.parametrize("method", ["path", "guided", "bpt"])
+def test_reflections_in_a_closed_room(method):
+    # Walls that emit evenly: the radiance is L / (1 - rho) everywhere, and E is pi times that, in any direction.
+    walls = room(0.6)
+    walls["walls"]["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": 0.5}}
+    points, normals = [[0, 0, 0], [0.3, -0.5, 0.9], [0, 0, -1]], [[1, 2, 3], [0, 1, 0], [0, 0, 1]]
+    found = etendue.measure(walls, points, normals, method, spp=8192)
+    expected = np.pi * 0.5 / (1 - 0.6)
+    assert (np.abs(found.values - expected) < 4.5 * found.errors + 1e-5).all()
+    assert found.errors.max() < 0.01 * expected
+
+
+def test_errors_are_those_of_repeated_runs():
+    scene = room(0.5, lamp=point([0.5, 0.4, 0.3]))
+    points = [[0, 0, z] for z in np.linspace(-0.9, 0.9, 16)]
+    runs = [etendue.measure(scene, points, UP, spp=256, seed=seed) for seed in range(24)]
+    spread = np.std([run.values[:, 0] for run in runs], axis=0, ddof=1)
+    estimated = np.sqrt(np.mean([run.errors[:, 0] ** 2 for run in runs], axis=0))
+    # 16 variances, each of 24 runs: the mean of their ratios has a relative error of 0.07 or less.
+    assert abs(np.mean((spread / estimated) ** 2) - 1.0) < 0.35
+
+
+def test_radiance(tmp_path):
+    lamp = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 2.0, 3.0]}}
+    meters = Meters([[0, 0, 1], [0, 0, 1]], [[0, 0, 1], [0, 0, -1]], "radiance")
+    found = etendue.measure(floor(lamp=lamp), meters, method="bpt", spp=64)
+    assert np.allclose(found.values[0], [1, 2, 3])
+    assert np.allclose(found.values[1], [0.5, 1, 1.5], rtol=0.05)
+    found.save(tmp_path / "r.csv", photometric=True)
+    assert "luminance [cd/m^2]" in (tmp_path / "r.csv").read_text()
+
+
+def test_tables(tmp_path):
+    meters = Meters([[0, 0, 0], [1, 0, 0]], UP, names=("under, the lamp", "beside"))
+    scene = floor(lamp=point([0, 0, 2]))
+    paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    found = etendue.measure(scene, meters, spp=64, save=paths, photometric=True)
+    rows = list(csv.DictReader(paths[0].open()))
+    assert paths[0].read_text() == paths[1].read_text()
+    assert [row["name"] for row in rows] == ["under, the lamp", "beside"]
+    assert np.allclose([float(row["illuminance [lx]"]) for row in rows], found.photometric, rtol=1e-6)
+    assert np.allclose([float(row["illuminance_error"]) for row in rows], found.photometric_error, rtol=1e-6)
+    found.save(tmp_path / "c.csv")
+    rows = list(csv.DictReader((tmp_path / "c.csv").open()))
+    assert float(rows[1]["irradiance_g [W/m^2]"]) == pytest.approx(found.values[1, 1], rel=1e-6)
+    assert "uniformity" in found.summary() and "2 meters" in repr(found)
+
+
+def test_bad_meters(tmp_path, caplog):
+    scene = floor(lamp=point([0, 0, 2]))
+    with pytest.raises(UnsupportedError, match="'vcm' does not measure"):
+        etendue.measure(scene, [[0, 0, 0]], method="vcm", spp=1)
+    with pytest.raises(OptionError, match="written as"):
+        etendue.measure(scene, [[0, 0, 0]], spp=1, save=tmp_path / "a.exr")
+    place = mi.ScalarTransform4f().translate([2, 2, 1.5])
+    solid = {"type": "cube", "to_world": place, "bsdf": grey(0.5)}
+    with pytest.raises(SceneError, match=r"meter 1 at \[2.0, 2.0, 1.5\]: inside a solid"):
+        etendue.measure(floor(lamp=point([0, 0, 2]), solid=solid), [[3, 0, 0], [2, 2, 1.5]], spp=1)
+    # A solid whose faces have two sides is only dark inside.
+    solid |= {"bsdf": {"type": "twosided", "bsdf": grey(0.5)}}
+    etendue.measure(floor(lamp=point([0, 0, 2]), solid=solid), [[3, 0, 0], [2, 2, 1.5]], spp=16)
+    assert "1 of 2 meters read 0, as number 1" in caplog.text
+
+
+def test_a_scene_far_from_the_origin():
+    # In render space, too, points are where they are meant.
+    far = np.array([5000.0, -3000.0, 200.0])
+    place = mi.ScalarTransform4f().translate(far.tolist())
+    scene = {
+        "type": "scene",
+        "floor": {"type": "rectangle", "to_world": place @ mi.ScalarTransform4f().scale(4), "bsdf": grey(0.5)},
+        "lamp": point((far + np.array([0, 0, 2])).tolist()),
+    }
+    found = etendue.measure(scene, far + np.array([[0, 0, 0], [1, 0, 0]]), UP, spp=64, max_depth=2)
+    assert np.allclose(found.values[:, 0], [1 / 4, 2 / 5**1.5], rtol=1e-3)
+
+
+def test_workers_measure_the_same():
+    scene = room(0.5, lamp=point([0.5, 0.4, 0.3]))
+    here, there = (
+        etendue.measure(scene, [[0, 0, 0], [0, 0, 0.5]], UP, spp=512, samples_per_pass=64, workers=n) for n in (None, 1)
+    )
+    assert np.allclose(here.values, there.values, rtol=1e-5)
