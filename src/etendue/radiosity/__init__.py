@@ -125,6 +125,7 @@ from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as wit
 from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
 from .problem import PatchProblem as PatchProblem
+from .solvers.lamps import lamp_light as lamp_light
 from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles
 from .solvers.multipath_passes import MultipathPasses as MultipathPasses, MultipathSettings as MultipathSettings
 from .solvers.particles import (

@@ -118,6 +118,7 @@ class LineCasting(Method):
         self.settings: AnySettings = self._options
         self.goal, self.most = goal, most
         self._shot: Shot | None = None
+        self._lamps: FirstShot | None = None
         self._stream: _Stream | None = None
         #: First index and number of the bundles that an incomplete pass has left out; the next pass casts them.
         self.owed = 0, 0
@@ -141,6 +142,7 @@ class LineCasting(Method):
         self.close()
         self._shot, self.owed = None, (0, 0)
         patches = self.patches = problem.patches
+        self._lamps = problem.lamps
         self._error = IrradianceError(patches, self._options.replicates)
         self._seed = seed
         self.engine = self._engine_for(patches)
@@ -253,16 +255,17 @@ class LineCasting(Method):
         return segments
 
     def shot(self, measurement: Measurement) -> FirstShot | None:
-        """The light of small emitters, with a ray for every 4 segments; ``None`` if there are no small emitters. Rays
-        that were too few to fill the device in the passes are cast now."""
+        """The light of small emitters, with a ray for every 4 segments, and that of lamps that are no patches; ``None``
+        if there are none. Rays that were too few to fill the device in the passes are cast now."""
         if self._shot is None:
-            return None
+            return self._lamps
         names = [f"{_SHOT}/{k}" for k in range(SEQUENCES)]
         received = np.stack([measurement.sums[name] for name in names])
         known = ShotSums(received, np.array([measurement.weights[name] for name in names]))
         first = self._shot_blocks(self.bundles(measurement))
         missing = self._shot.blocks(self._shot_rays(self.bundles(measurement))) - int(known.blocks.sum())
-        return self._shot.result(known + self._shot.light(first, max(missing, 0)))
+        shot = self._shot.result(known + self._shot.light(first, max(missing, 0)))
+        return shot if self._lamps is None else shot + self._lamps
 
     def memory(self, matrix: float = 0.0, in_files: bool = False, wanted: int = _ENDLESS) -> int:
         """Number of bundles whose segments fit into the free memory.

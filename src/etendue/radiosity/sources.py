@@ -11,9 +11,17 @@ from typing import Any, ClassVar, Self
 
 from numpy.typing import NDArray
 
-from etendue.core import Ingredients, OptionError, SceneError, is_whole, logger, numbers_for_json
-from etendue.scene import Problem, emits, found, load, locate, placed
-from etendue.surfaces import Objects, Patches, find_objects, read_patches
+from etendue.core import (
+    Ingredients,
+    OptionError,
+    SceneError,
+    UnsupportedError,
+    is_whole,
+    logger,
+    numbers_for_json,
+)
+from etendue.scene import Problem, emits, found, graph, load, locate, placed
+from etendue.surfaces import Objects, Patches, find_objects, lamps_apart, read_patches
 
 from .hierarchical_multipath.grouping import GroupSettings, grouped
 from .hierarchical_multipath.method import PartProblem
@@ -21,9 +29,13 @@ from .hierarchical_multipath.parts import Part
 from .hierarchical_multipath.reading import instanced_patches, scene_part
 from .problem import PatchProblem
 from .solvers.absorption import check_absorption
+from .solvers.lamps import lamp_light
+from .solvers.shot import FirstShot
 
 #: Kinds of objects; any other name is that of an array of the mesh file.
 GROUPINGS = ("components", "shapes", "labels")
+#: Arrays of the light of lamps that workers get, and what their names begin with.
+_SHOT, _LAMPS = ("emission", "irradiance", "error", "to_sky", "lost", "from_lamps"), "lamps/"
 #: Suffixes of scenes; all other files are meshes.
 _SCENES = (".xml", "")
 
@@ -114,7 +126,9 @@ class PatchSource:
         if isinstance(self.source, (Patches, Part)) or self.is_mesh:
             return None
         scene = locate(self.source, tell) if isinstance(self.source, (str, os.PathLike)) else self.source
-        options: Any = {"size": self.size, "sensor": self.sensor} if self.for_light else {}
+        options: Any = {"sensor": self.sensor or None}  # a scene without a camera has patches, too
+        if self.for_light:
+            options["size"] = self.size
         return load(scene, parameters=self.parameters, **options)
 
     def patches(self, scene: Problem | None) -> Patches:
@@ -122,21 +136,24 @@ class PatchSource:
         if isinstance(self.source, Patches):
             return self.source
         if scene is not None:
-            return instanced_patches(scene, max_area=self.max_area)
+            return instanced_patches(scene, max_area=self.max_area, lamps_apart=True)
         patches = read_patches(self.source, **self.mesh)
         if self.max_area is None:
             return patches
         return patches.subdivided(self.max_area, grouped=not self.for_light and "ids" in self.mesh)
 
     def _checked(self, patches: Patches, scene: Problem | None) -> PatchProblem:
+        lamps = None
         if self.for_light:
-            if not (patches.emission.any() or patches.sky.any()):
+            lamps = None if scene is None else lamp_light(scene, patches)
+            is_lit = lamps is not None and lamps.irradiance.any()
+            if not (is_lit or patches.emission.any() or patches.sky.any()):
                 raise SceneError(self._dark(scene))
             check_absorption(patches)
-        return PatchProblem(patches, self.name if scene is None else scene.source, scene)
+        return PatchProblem(patches, self.name if scene is None else scene.source, scene, lamps)
 
     def _dark(self, scene: Problem | None) -> str:
-        how = "give it an emitter of type 'area' or 'constant'" if scene is not None else self._LIGHT
+        how = "give it an emitter" if scene is not None else self._LIGHT
         return f"'{self.name}' has no light for radiosity; {how}"
 
     def objects_of(self, patches: Patches) -> Objects:
@@ -172,7 +189,10 @@ class PatchSource:
 
     def ingredients(self, problem: PatchProblem) -> Ingredients:
         """What a worker makes the problem from."""
-        return Ingredients(f"{__name__}:open_patches", {}, problem.patches.arrays())
+        arrays = problem.patches.arrays()
+        if (lamps := problem.lamps) is not None:
+            arrays |= {_LAMPS + name: getattr(lamps, name) for name in _SHOT}
+        return Ingredients(f"{__name__}:open_patches", {}, arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +221,11 @@ class PartSource(PatchSource):
         if isinstance(self.source, Part):
             return self._lit(PartProblem(self.source, self.name))
         scene = self.scene(tell)
+        if scene is not None and (others := lamps_apart(scene.scene)):
+            raise UnsupportedError(
+                f"method 'boxes' has no light of {graph.describe(others[0], 'emitter')}, which has no surface; use "
+                "method lines or multipath"
+            )
         if scene is not None and (root := scene_part(scene, max_area=self.max_area)) is not None:
             if self._is_grouped:
                 raise OptionError(
@@ -243,7 +268,9 @@ def part_ingredients(problem: PartProblem) -> Ingredients:
 
 def open_patches(ingredients: Ingredients, folder: Path) -> PatchProblem:
     """The problem of :meth:`PatchSource.ingredients` in a worker."""
-    return PatchProblem(Patches.of_arrays(ingredients.arrays))
+    patches = Patches.of_arrays({k: v for k, v in ingredients.arrays.items() if not k.startswith(_LAMPS)})
+    lamps = {name: ingredients.arrays[_LAMPS + name] for name in _SHOT if _LAMPS + name in ingredients.arrays}
+    return PatchProblem(patches, lamps=FirstShot(patches, rays=0, **lamps) if lamps else None)
 
 
 def open_parts(ingredients: Ingredients, folder: Path) -> PartProblem:

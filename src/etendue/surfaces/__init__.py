@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from .rays.sides import Sides as Sides, across as across, around as around, cosine_law as cosine_law
     from .rays.sources import (
         BATCH as BATCH,
+        Places as Places,
         RaySource as RaySource,
         columns as columns,
         cosine_lanes as cosine_lanes,
@@ -74,7 +75,7 @@ if TYPE_CHECKING:
     )
     from .readers.meshfiles import read_patches as read_patches
     from .readers.sceneparts import has_instances as has_instances, scene_parts as scene_parts
-    from .readers.scenepatches import scene_patches as scene_patches
+    from .readers.scenepatches import lamps_apart as lamps_apart, scene_patches as scene_patches
     from .readers.tessellation import shape_triangles as shape_triangles
     from .savedpatches import differences as differences, saved_patches as saved_patches
     from .smoothing import (

@@ -174,13 +174,19 @@ def _key_figures(solution: Solution, error: Array | None) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-_POWERS = {"emitted": "emitted", "from_sky": "from the sky", "absorbed": "absorbed", "to_sky": "to the sky"}
+_POWERS = {
+    "emitted": "emitted",
+    "from_sky": "from the sky",
+    "from_lamps": "from lamps",
+    "absorbed": "absorbed",
+    "to_sky": "to the sky",
+}
 
 
 def _balance(solution: Solution) -> Measures:
     """Powers by channel, and their share of the incoming power."""
     power = solution.power
-    come = power["emitted"] + power["from_sky"]
+    come = power["emitted"] + power["from_sky"] + power["from_lamps"]
     rows = {words: power[name] for name, words in _POWERS.items()}
     rows["difference"] = come - power["absorbed"] - power["to_sky"]
     channels = solution.patches.channels

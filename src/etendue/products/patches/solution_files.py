@@ -136,7 +136,8 @@ class SolutionFiles:
     def check_source(self, patches: Patches, problem: Problem | None) -> None:
         """Checks of the source and of texture coordinates, before lines are cast. Raises :class:`OptionError` for
         outputs that need a scene if there is none, ``RadiosityError`` for channels that cannot be shown."""
-        if problem is None and (self.pictures or self.uv == OWN):
+        has_camera = problem is not None and bool(problem.scene.sensors())
+        if (self.pictures and not has_camera) or (problem is None and self.uv == OWN):
             what = "a picture needs a scene with a camera" if self.pictures else "uv of the scene needs a scene"
             raise OptionError(f"{what}; for a mesh choose another kind of file")
         shown = [path.suffix.lower() for path in self.files if path.suffix.lower() in (*_COLOURS, *PICTURE_FILES)]

@@ -291,6 +291,8 @@ class SolutionProduct(PatchProduct[RadiosityResult]):
         """A solution without lines."""
         assert self.ambient is not None
         problem = PatchSource.open(source, tell)
+        if problem.lamps is not None:
+            raise OptionError("an ambient solution has no light of lamps without a surface; use method lines")
         self.check(problem)
         on_patches(problem.patches)
         parts = self._parts(source, problem)

@@ -19,7 +19,7 @@ def part_of(
     return grouped(patches, find_objects(patches, objects).of_patch, threshold, least, levels)
 
 
-def scene_part(scene: Any, *, max_area: float | None = None) -> Part | None:
+def scene_part(scene: Any, *, max_area: float | None = None, lamps_apart: bool = False) -> Part | None:
     """A Mitsuba scene with instances as a scene of parts, one part per shape group; ``None`` for a scene without
     instances.
 
@@ -27,18 +27,18 @@ def scene_part(scene: Any, *, max_area: float | None = None) -> Part | None:
     """
     if not has_instances(scene):
         return None
-    around, groups = scene_parts(scene, max_area=max_area)
+    around, groups = scene_parts(scene, max_area=max_area, lamps_apart=lamps_apart)
     return Part(around, [(Part(patches), transforms) for patches, transforms in groups])
 
 
-def instanced_patches(scene: Any, *, max_area: float | None = None) -> Patches:
+def instanced_patches(scene: Any, *, max_area: float | None = None, lamps_apart: bool = False) -> Patches:
     """:func:`scene_patches` of a scene that may have instances: all patches in one mesh, each instance a shape.
 
     Raises the errors of :func:`scene_patches` and :func:`scene_part`.
     """
-    root = scene_part(scene, max_area=max_area)
+    root = scene_part(scene, max_area=max_area, lamps_apart=lamps_apart)
     if root is None:
-        return scene_patches(scene, max_area=max_area)
+        return scene_patches(scene, max_area=max_area, lamps_apart=lamps_apart)
     tree = Tree(root)
     patches = tree.joined()
     around = root.patches

@@ -106,4 +106,5 @@ class PartSolution(Solution):
         assert self.whole is not None
         emitted = (self.patches.areas[:, None] * self.patches.emission).sum(axis=0)
         from_sky = np.maximum(self.whole.sent - emitted, 0)
-        return {"emitted": emitted, "from_sky": from_sky, "absorbed": self.whole.absorbed, "to_sky": self.whole.to_sky}
+        come = {"emitted": emitted, "from_sky": from_sky, "from_lamps": np.zeros_like(emitted)}
+        return come | {"absorbed": self.whole.absorbed, "to_sky": self.whole.to_sky}

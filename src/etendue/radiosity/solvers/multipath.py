@@ -185,7 +185,7 @@ def _own(patches: Patches, shot: FirstShot | None, count: int) -> Array:
     """Power (n, c) that patches send along the lines of ``count`` points."""
     if count < 1:
         raise RadiosityError(f"multipath needs at least one point, not {count}")
-    if not (patches.emission.any() or patches.sky.any()):
+    if not (patches.emission.any() or patches.sky.any() or (shot is not None and shot.irradiance.any())):
         raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if shot is None:
         return patches.areas[:, None] * patches.emission
@@ -203,7 +203,7 @@ def _result(patches: Patches, shot: FirstShot | None, sent: Array, unshot: Array
     to_sky = received[-2]
     if shot is not None:
         # Light of the shot that patches reflect is sent on by the lines.
-        sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0)
+        sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0) + shot.from_lamps
         left = left + shot.reflected
         absorbed, to_sky = absorbed + shot.absorbed, to_sky + shot.to_sky
     return Multipath(left / patches.divisors[:, None], unshot, sent, absorbed, to_sky)

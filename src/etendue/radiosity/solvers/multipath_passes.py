@@ -85,7 +85,7 @@ class MultipathPasses(Method):
         """Build the engine and send the light of small emitters. Raises :class:`RadiosityError` if nothing emits."""
         self.patches, self._seed = problem.patches, seed
         self._engine = self._options.lines(problem.patches, seed)
-        self._exchange = LineExchange(self._engine, self.samples_per_iteration, self._shoot(seed))
+        self._exchange = LineExchange(self._engine, self.samples_per_iteration, self._shoot(problem, seed))
 
     def start(self) -> State:
         """No unshot power."""
@@ -172,11 +172,10 @@ class MultipathPasses(Method):
             light += (areas * self.shot.irradiance).sum()
         return float(((areas * error).sum() / light) ** 2) if light > 0 else None
 
-    def _shoot(self, seed: int) -> FirstShot | None:
-        if not self._options.shot:
-            return None
+    def _shoot(self, problem: PatchProblem, seed: int) -> FirstShot | None:
         emitters = small_emitters(self.patches, 1.0)
-        if not emitters.any():
-            return None
+        if not (self._options.shot and emitters.any()):
+            return problem.lamps
         points = line_points(self._options.point_set, seed, "first shot")
-        return shot_at_patches(RayScene(self.patches), self._options.shot, points, emitters)
+        shot = shot_at_patches(RayScene(self.patches), self._options.shot, points, emitters)
+        return shot if problem.lamps is None else shot + problem.lamps

@@ -10,7 +10,7 @@ twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
@@ -46,7 +46,7 @@ class FirstShot:
     ``emission``: (n, c) emission that was sent, zero for other patches. ``irradiance``, ``error``: (n, c)
     irradiance of each patch by this light, and its standard error (infinite for a single ray). Power (c,): ``to_sky``,
     and ``lost`` to backs of faces; together with the power that patches receive it is the power that was sent.
-    ``rays``: number of rays.
+    ``rays``: number of rays. ``from_lamps``: (c,) received power that no patch has sent, see :func:`lamp_light`.
     """
 
     patches: Patches
@@ -56,6 +56,15 @@ class FirstShot:
     to_sky: Array
     lost: Array
     rays: int
+    from_lamps: Array = field(default_factory=lambda: np.zeros(1))
+
+    def __add__(self, other: FirstShot) -> FirstShot:
+        """Two shots of the same patches, of different emitters, with independent errors."""
+        sums = {
+            name: getattr(self, name) + getattr(other, name)
+            for name in ("emission", "irradiance", "to_sky", "lost", "rays", "from_lamps")
+        }
+        return FirstShot(self.patches, error=np.hypot(self.error, other.error), **sums)
 
     @property
     def relative_error(self) -> float:

@@ -61,12 +61,14 @@ class Solution(InNotebooks):
 
     @cached_property
     def power(self) -> dict[str, Array]:
-        """(c,) each: ``emitted`` by patches, ``from_sky``, ``absorbed``, ``to_sky``."""
+        """(c,) each: ``emitted`` by patches, ``from_sky``, ``from_lamps`` that are no patches, ``absorbed``,
+        ``to_sky``."""
         areas = self.patches.areas[:, None]
         to_sky = (areas * self.sky_share[:, None] * self._by_lines).sum(axis=0)
         return {
             "emitted": (areas * self.patches.emission).sum(axis=0),
             "from_sky": (areas * self.sky_share[:, None] * self.patches.sky).sum(axis=0),
+            "from_lamps": np.zeros(self.patches.channels) + (0.0 if self.shot is None else self.shot.from_lamps),
             "absorbed": (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0),
             "to_sky": to_sky if self.shot is None else to_sky + self.shot.to_sky,
         }
@@ -91,7 +93,7 @@ class Solution(InNotebooks):
     def imbalance(self) -> float:
         """Difference of input and output power, relative to the input: zero if form factors are reciprocal and their
         rows sum to 1, else about as large as their errors."""
-        come = self.power["emitted"] + self.power["from_sky"]
+        come = self.power["emitted"] + self.power["from_sky"] + self.power["from_lamps"]
         gone = self.power["absorbed"] + self.power["to_sky"]
         return float(np.abs(come - gone).sum() / come.sum())
 
@@ -132,7 +134,7 @@ def solve(
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
-    if not (patches.emission.any() or patches.sky.any()):
+    if not (patches.emission.any() or patches.sky.any() or (shot is not None and shot.irradiance.any())):
         raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if solver not in SOLVERS:
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")

@@ -21,7 +21,7 @@ def has_instances(scene: Any) -> bool:
 
 
 def scene_parts(
-    scene: Any, *, max_area: float | None = None, segments: int = 32
+    scene: Any, *, max_area: float | None = None, segments: int = 32, lamps_apart: bool = False
 ) -> tuple[Patches | None, list[tuple[Patches, Array]]]:
     """Patches, with the sky, of the shapes that are no instances (``None`` if there are none); and for each shape group
     with instances its patches, in coordinates of the group, and the transforms (k, 4, 4) of the instances.
@@ -32,7 +32,7 @@ def scene_parts(
     use_variant()
     scene, space = loaded_scene(scene)
     own = [shape for shape in scene.shapes() if not _is_instance(shape)]
-    sky = scene_sky(scene)
+    sky = scene_sky(scene, lamps_apart)
     around = None
     if own:
         around, shape, _ = patches_of(own, segments, space)

@@ -25,7 +25,12 @@ Index = NDArray[np.int64]
 
 
 def scene_patches(
-    scene: Any, *, max_area: float | None = None, per: Literal["face", "shape"] = "face", segments: int = 32
+    scene: Any,
+    *,
+    max_area: float | None = None,
+    per: Literal["face", "shape"] = "face",
+    segments: int = 32,
+    lamps_apart: bool = False,
 ) -> Patches:
     """Patches of a scene: an ``mi.Scene``, or another argument or a result of :func:`etendue.scene.load`. Channels are
     red, green, blue.
@@ -39,6 +44,9 @@ def scene_patches(
 
     max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`; not for
         ``per="shape"``.
+
+    lamps_apart: leave out lamps without a surface, such as ``point`` or ``envmap``, whose light
+        :func:`etendue.radiosity.lamp_light` finds; otherwise they are refused.
 
     The patches know their ``shapes``, for :func:`find_objects`.
 
@@ -57,7 +65,7 @@ def scene_patches(
         raise SurfaceError(f"a circle needs three segments at least, not {segments!r}")
     refuse_media(scene, "patches")
     patches, shape, sheets = patches_of(scene.shapes(), segments, space)
-    patches = patches.with_properties(sky=scene_sky(scene))
+    patches = patches.with_properties(sky=scene_sky(scene, lamps_apart))
     if space.is_own:
         remedy = "put it near the origin, or give it as a file or as a dictionary of plugins"
         warn_of_steps("the scene", np.abs(patches.vertices).max(), patches.sphere[1], remedy)
@@ -182,21 +190,25 @@ def _hemispherical_albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f, directions
     return total / directions
 
 
-def scene_sky(scene: mi.Scene) -> Array:
-    """(3,) radiosity of ``constant`` lights. Raises :class:`UnsupportedError` for other lights without a surface."""
-    light = np.zeros(3)
-    for emitter in scene.emitters():
-        kind = graph.plugin_name(emitter)
-        if kind == "constant":
-            import mitsuba as mi
+def scene_sky(scene: mi.Scene, are_apart: bool = False) -> Array:
+    """(3,) radiosity of ``constant`` lights. Raises :class:`UnsupportedError` for :func:`lamps_apart`, unless they
+    ``are_apart``."""
+    import mitsuba as mi
 
-            light += np.pi * np.array(emitter.eval(dr.zeros(mi.SurfaceInteraction3f)), dtype=np.float64).ravel()
-        elif emitter.get_shape() is None:
-            raise UnsupportedError(
-                f"{graph.describe(emitter, 'emitter')} has no surface; radiosity takes area lights of type 'area', and "
-                "'constant' as the sky"
-            )
-    return light
+    if not are_apart and (others := lamps_apart(scene)):
+        raise UnsupportedError(
+            f"{graph.describe(others[0], 'emitter')} has no surface; radiosity takes area lights, and 'constant' as "
+            "the sky; read the patches with lamps_apart=True, and add lamp_light"
+        )
+    skies = [emitter for emitter in scene.emitters() if graph.plugin_name(emitter) == "constant"]
+    at = dr.zeros(mi.SurfaceInteraction3f)
+    light = [np.pi * np.array(sky.eval(at), dtype=np.float64).ravel() for sky in skies]
+    return np.sum(light, axis=0) if light else np.zeros(3)
+
+
+def lamps_apart(scene: mi.Scene) -> list[mi.Emitter]:
+    """The lamps of a scene without a surface, apart from ``constant``."""
+    return [lamp for lamp in scene.emitters() if lamp.get_shape() is None and graph.plugin_name(lamp) != "constant"]
 
 
 def _joined(patches: Patches, shape: Index, sheets: NDArray[np.bool_]) -> Patches:
