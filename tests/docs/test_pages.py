@@ -137,6 +137,7 @@ def folder(tmp_path_factory, variant):
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     for copy in ("reference.exr", "picture.exr", "mitsuba.exr"):
         shutil.copy(path / "converged.exr", path / copy)
+    (path / "desks.csv").write_text("0 0 0.5 0 0 1\n")
     (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
@@ -173,6 +174,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
         (doctor, "run_doctor"),
     ):
         monkeypatch.setattr(place, name, begin)
+    monkeypatch.setattr(running, "follow", lambda *_: begin() or running.Outcome(None, 0))
     monkeypatch.setattr(display, "develop", lambda layers, *_, **__: begun.append(layers) or layers["image"])
     words = shlex.split(command, comments=True)[1:]
     if words[:2] == ["particles", "trace"]:  # refuses to overwrite the file that the others read
