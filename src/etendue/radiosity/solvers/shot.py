@@ -43,10 +43,10 @@ _MOST = 0.5
 class FirstShot:
     """Light of emitters, sent once by local lines.
 
-    ``emission``: (n, c) emission that was sent, zero for other patches. ``irradiance``, ``error``: (n, c)
-    irradiance of each patch by this light, and its standard error (infinite for a single ray). Power (c,): ``to_sky``,
-    and ``lost`` to backs of faces; together with the power that patches receive it is the power that was sent.
-    ``rays``: number of rays.
+    ``emission``: (n, c) emission that was sent, zero for other patches, and for lamps that are no patches.
+    ``irradiance``, ``error``: (n, c) irradiance of each patch by this light, and its standard error (infinite for a
+    single ray). Power (c,): ``to_sky``, and ``lost`` to backs of faces; together with the power that patches receive it
+    is the power that was ``sent``. ``rays``: number of rays.
     """
 
     patches: Patches
@@ -62,6 +62,11 @@ class FirstShot:
         """Standard error of the irradiance, mean over the surface, relative to the mean irradiance."""
         areas = self.patches.areas[:, None]
         return float((areas * self.error).sum() / max((areas * self.irradiance).sum(), 1e-300))
+
+    @property
+    def sent(self) -> Array:
+        """(c,) power of this light."""
+        return (self.patches.areas[:, None] * self.irradiance).sum(axis=0) + self.to_sky + self.lost
 
     @property
     def reflected(self) -> Array:

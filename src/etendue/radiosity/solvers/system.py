@@ -61,11 +61,14 @@ class Solution(InNotebooks):
 
     @cached_property
     def power(self) -> dict[str, Array]:
-        """(c,) each: ``emitted`` by patches, ``from_sky``, ``absorbed``, ``to_sky``."""
+        """(c,) each: ``emitted`` by patches and lamps of a shot, ``from_sky``, ``absorbed``, ``to_sky``."""
         areas = self.patches.areas[:, None]
         to_sky = (areas * self.sky_share[:, None] * self._by_lines).sum(axis=0)
+        emitted = (areas * self.patches.emission).sum(axis=0)
+        if self.shot is not None:
+            emitted = emitted - (areas * self.shot.emission).sum(axis=0) + self.shot.sent
         return {
-            "emitted": (areas * self.patches.emission).sum(axis=0),
+            "emitted": emitted,
             "from_sky": (areas * self.sky_share[:, None] * self.patches.sky).sum(axis=0),
             "absorbed": (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0),
             "to_sky": to_sky if self.shot is None else to_sky + self.shot.to_sky,
@@ -132,7 +135,7 @@ def solve(
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
-    if not (patches.emission.any() or patches.sky.any()):
+    if not (patches.emission.any() or patches.sky.any() or (shot is not None and shot.irradiance.any())):
         raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if solver not in SOLVERS:
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
