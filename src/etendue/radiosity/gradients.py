@@ -59,7 +59,7 @@ class Gradient:
     @property
     def importance(self) -> Array:
         """(n, c) derivative by power that arrives at each patch: a map of where light helps. Zero for empty patches."""
-        return self.irradiance / self.patches.divisors[:, None]
+        return np.where(self.patches.empty[:, None], 0.0, self.irradiance / self.patches.divisors[:, None])
 
     def along(self, shot: FirstShot) -> Array:
         """(c,) derivative by the brightness of a first shot, relative to its present one: of all its light, as its rays
