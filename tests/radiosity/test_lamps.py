@@ -46,7 +46,7 @@ def direct(scene, max_area=0.1, **more):
 
 def test_all_light_of_a_point_arrives():
     patches, light = direct(room(point=POINT))
-    assert np.allclose(light.from_lamps, 4 * np.pi * np.array([1, 2, 3]), rtol=2e-3)
+    assert np.allclose(light.sent, 4 * np.pi * np.array([1, 2, 3]), rtol=2e-3)
     away = patches.centres - POINT["position"]
     square = (away**2).sum(axis=1)
     expected = -(away * patches.normals).sum(axis=1) / square**1.5
@@ -76,8 +76,8 @@ def test_a_closed_room(solver):
     power, areas = found.solution.power, found.patches.areas[:, None]
     whole = 4 * np.pi * np.array([1, 2, 3]) / (1 - 0.6)
     assert np.allclose((areas * found.solution.irradiance).sum(axis=0), whole, rtol=0.01)
-    assert np.allclose(power["from_lamps"], 4 * np.pi * np.array([1, 2, 3]), rtol=2e-3)
-    assert np.allclose(power["absorbed"], power["from_lamps"], rtol=0.01) and found.is_balanced
+    assert np.allclose(power["emitted"], 4 * np.pi * np.array([1, 2, 3]), rtol=2e-3)
+    assert np.allclose(power["absorbed"], power["emitted"], rtol=0.01) and found.is_balanced
     assert found.solution.imbalance < 0.01
 
 

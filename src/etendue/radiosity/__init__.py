@@ -73,6 +73,7 @@ from .files.results import (
     save_solution as save_solution,
 )
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
+from .gradients import Gradient as Gradient, gradient as gradient, gradient_error as gradient_error
 from .hierarchical_factors.allocation import (
     allocated as allocated,
     area_shares as area_shares,
@@ -124,6 +125,7 @@ from .lines.local import LocalRays as LocalRays
 from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as with_local_rays
 from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
+from .pointviews import PointViews as PointViews, point_views as point_views
 from .problem import PatchProblem as PatchProblem
 from .solvers.lamps import lamp_light as lamp_light
 from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles

@@ -19,7 +19,7 @@ def check_balance(solution: Solution, irradiance_error: Array | None) -> bool:
     if irradiance_error is None:
         return is_balanced(solution.imbalance, None)
     areas, absorptance = solution.patches.areas[:, None], 1 - solution.patches.reflectance
-    enters = float((solution.power["emitted"] + solution.power["from_sky"] + solution.power["from_lamps"]).sum())
+    enters = float((solution.power["emitted"] + solution.power["from_sky"]).sum())
     error = float(np.sqrt(((areas * absorptance * irradiance_error) ** 2).sum())) / enters
     return is_balanced(solution.imbalance, error)
 

@@ -35,7 +35,7 @@ from .solvers.shot import FirstShot
 #: Kinds of objects; any other name is that of an array of the mesh file.
 GROUPINGS = ("components", "shapes", "labels")
 #: Arrays of the light of lamps that workers get, and what their names begin with.
-_SHOT, _LAMPS = ("emission", "irradiance", "error", "to_sky", "lost", "from_lamps"), "lamps/"
+_SHOT, _LAMPS = ("emission", "irradiance", "error", "to_sky", "lost"), "lamps/"
 #: Suffixes of scenes; all other files are meshes.
 _SCENES = (".xml", "")
 

@@ -177,7 +177,6 @@ def _key_figures(solution: Solution, error: Array | None) -> str:
 _POWERS = {
     "emitted": "emitted",
     "from_sky": "from the sky",
-    "from_lamps": "from lamps",
     "absorbed": "absorbed",
     "to_sky": "to the sky",
 }
@@ -186,7 +185,7 @@ _POWERS = {
 def _balance(solution: Solution) -> Measures:
     """Powers by channel, and their share of the incoming power."""
     power = solution.power
-    come = power["emitted"] + power["from_sky"] + power["from_lamps"]
+    come = power["emitted"] + power["from_sky"]
     rows = {words: power[name] for name, words in _POWERS.items()}
     rows["difference"] = come - power["absorbed"] - power["to_sky"]
     channels = solution.patches.channels

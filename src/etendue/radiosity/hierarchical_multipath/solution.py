@@ -106,5 +106,4 @@ class PartSolution(Solution):
         assert self.whole is not None
         emitted = (self.patches.areas[:, None] * self.patches.emission).sum(axis=0)
         from_sky = np.maximum(self.whole.sent - emitted, 0)
-        come = {"emitted": emitted, "from_sky": from_sky, "from_lamps": np.zeros_like(emitted)}
-        return come | {"absorbed": self.whole.absorbed, "to_sky": self.whole.to_sky}
+        return {"emitted": emitted, "from_sky": from_sky, "absorbed": self.whole.absorbed, "to_sky": self.whole.to_sky}

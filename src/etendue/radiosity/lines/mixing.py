@@ -53,6 +53,11 @@ class MixedSegments(Segments):
         """One batch."""
         return MixedSegments(super().batch(number), [self.corrections[number]], self.extra, self.rays)
 
+    def without(self, number: int) -> Segments:
+        """All batches but one."""
+        others = [correction for k, correction in enumerate(self.corrections) if k != number]
+        return MixedSegments(super().without(number), others, self.extra, self.rays)
+
     def _gather(self, full: Array) -> Array:
         return super()._gather(full) + (self.correction @ full)[: len(self.patches)]
 

@@ -136,6 +136,13 @@ class Segments:
         chosen = [chunk for chunk, of in zip(self.chunks, self.batches, strict=True) if of == number]
         return Segments(self.patches, chosen, np.zeros(len(chosen)), self.expected / self.batch_count)
 
+    def without(self, number: int) -> Segments:
+        """All batches but one."""
+        left = self.batches != number
+        chosen = [chunk for chunk, kept in zip(self.chunks, left, strict=True) if kept]
+        batches = self.batches[left] - (self.batches[left] > number)
+        return Segments(self.patches, chosen, batches, self.expected * (1 - 1 / self.batch_count))
+
     def _weights(self, normalisation: Normalisation) -> Array:
         if normalisation not in ("counted", "expected"):
             raise RadiosityError(f"sums are divided by the 'counted' or the 'expected' lines, not {normalisation!r}")

@@ -57,9 +57,8 @@ def lamp_light(scene: Problem, patches: Patches, rays: int = _RAYS, seed: int = 
     mean = received.mean(axis=0)
     error = scatter(((found, np.ones(len(patches))) for found in received), mean)
     nothing = np.zeros(patches.channels)
-    power = (patches.areas[:, None] * mean).sum(axis=0)
     count = each * _SEQUENCES * len(patches) * len(lamps)
-    return FirstShot(patches, np.zeros_like(mean), mean, error, nothing, nothing, count, power)
+    return FirstShot(patches, np.zeros_like(mean), mean, error, nothing, nothing, count)
 
 
 class _Rays:

@@ -203,7 +203,7 @@ def _result(patches: Patches, shot: FirstShot | None, sent: Array, unshot: Array
     to_sky = received[-2]
     if shot is not None:
         # Light of the shot that patches reflect is sent on by the lines.
-        sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0) + shot.from_lamps
+        sent = sent + shot.sent - shot.reflected.sum(axis=0)
         left = left + shot.reflected
         absorbed, to_sky = absorbed + shot.absorbed, to_sky + shot.to_sky
     return Multipath(left / patches.divisors[:, None], unshot, sent, absorbed, to_sky)

@@ -10,7 +10,7 @@ twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -43,10 +43,10 @@ _MOST = 0.5
 class FirstShot:
     """Light of emitters, sent once by local lines.
 
-    ``emission``: (n, c) emission that was sent, zero for other patches. ``irradiance``, ``error``: (n, c)
-    irradiance of each patch by this light, and its standard error (infinite for a single ray). Power (c,): ``to_sky``,
-    and ``lost`` to backs of faces; together with the power that patches receive it is the power that was sent.
-    ``rays``: number of rays. ``from_lamps``: (c,) received power that no patch has sent, see :func:`lamp_light`.
+    ``emission``: (n, c) emission that was sent, zero for other patches, and for lamps that are no patches.
+    ``irradiance``, ``error``: (n, c) irradiance of each patch by this light, and its standard error (infinite for a
+    single ray). Power (c,): ``to_sky``, and ``lost`` to backs of faces; together with the power that patches receive it
+    is the power that was ``sent``. ``rays``: number of rays.
     """
 
     patches: Patches
@@ -56,13 +56,12 @@ class FirstShot:
     to_sky: Array
     lost: Array
     rays: int
-    from_lamps: Array = field(default_factory=lambda: np.zeros(1))
 
     def __add__(self, other: FirstShot) -> FirstShot:
         """Two shots of the same patches, of different emitters, with independent errors."""
         sums = {
             name: getattr(self, name) + getattr(other, name)
-            for name in ("emission", "irradiance", "to_sky", "lost", "rays", "from_lamps")
+            for name in ("emission", "irradiance", "to_sky", "lost", "rays")
         }
         return FirstShot(self.patches, error=np.hypot(self.error, other.error), **sums)
 
@@ -71,6 +70,11 @@ class FirstShot:
         """Standard error of the irradiance, mean over the surface, relative to the mean irradiance."""
         areas = self.patches.areas[:, None]
         return float((areas * self.error).sum() / max((areas * self.irradiance).sum(), 1e-300))
+
+    @property
+    def sent(self) -> Array:
+        """(c,) power of this light."""
+        return (self.patches.areas[:, None] * self.irradiance).sum(axis=0) + self.to_sky + self.lost
 
     @property
     def reflected(self) -> Array:

@@ -61,14 +61,15 @@ class Solution(InNotebooks):
 
     @cached_property
     def power(self) -> dict[str, Array]:
-        """(c,) each: ``emitted`` by patches, ``from_sky``, ``from_lamps`` that are no patches, ``absorbed``,
-        ``to_sky``."""
+        """(c,) each: ``emitted`` by patches and lamps of a shot, ``from_sky``, ``absorbed``, ``to_sky``."""
         areas = self.patches.areas[:, None]
         to_sky = (areas * self.sky_share[:, None] * self._by_lines).sum(axis=0)
+        emitted = (areas * self.patches.emission).sum(axis=0)
+        if self.shot is not None:
+            emitted = emitted - (areas * self.shot.emission).sum(axis=0) + self.shot.sent
         return {
-            "emitted": (areas * self.patches.emission).sum(axis=0),
+            "emitted": emitted,
             "from_sky": (areas * self.sky_share[:, None] * self.patches.sky).sum(axis=0),
-            "from_lamps": np.zeros(self.patches.channels) + (0.0 if self.shot is None else self.shot.from_lamps),
             "absorbed": (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0),
             "to_sky": to_sky if self.shot is None else to_sky + self.shot.to_sky,
         }
@@ -93,7 +94,7 @@ class Solution(InNotebooks):
     def imbalance(self) -> float:
         """Difference of input and output power, relative to the input: zero if form factors are reciprocal and their
         rows sum to 1, else about as large as their errors."""
-        come = self.power["emitted"] + self.power["from_sky"] + self.power["from_lamps"]
+        come = self.power["emitted"] + self.power["from_sky"]
         gone = self.power["absorbed"] + self.power["to_sky"]
         return float(np.abs(come - gone).sum() / come.sum())
 
