@@ -2,8 +2,8 @@
 
 Seven rows of equal height are subdivided m times in altitude and azimuth; the rest is a cap around the zenith. Patch 0
 is the ground. Patches 1, 2, ... follow from the horizon up, in each row from north by east; the first patch of a row is
-centred at north. With m = 1 (MF:1) there are 144 + 1 patches and the ground [Tregenza1987], with m = 4 2305 and the
-ground [Reinhart2011]. These are the rows of ``rfluxmtx`` and ``gendaymtx``.
+centred at north. With m = 1 (MF:1) there are 144 + 1 patches and the ground [Tregenza 1987], with m = 4 2305 and the
+ground [Bourgeois 2008]. These are the rows of ``rfluxmtx`` and ``gendaymtx``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Skies: the CIE general skies and the all-weather sky of Perez, as luminance over directions.
 
 Both are a gradation from the zenith to the horizon times an indicatrix of scattered sunlight [CIE-S011, eqs. 2 to 4;
-Perez1993, eq. 1]:
+Perez 1993, eq. 1]:
 
     L(w) = s phi(Z) f(chi),    phi = 1 + a exp(b / cos Z) + t cos Z,    f = 1 + c (exp(d chi) - h) + e cos^2 chi
 
@@ -28,7 +28,7 @@ SUN_DIAMETER = 0.533
 GROUND = 0.2
 
 #: Parameters (a, b) of six gradations and (c, d, e) of six indicatrices, and their numbers for the types 1 to 15
-#: [CIE-S011, table 1].
+#: [CIE 2003, table 1].
 _GRADATIONS = ((4.0, -0.7), (1.1, -0.8), (0.0, -1.0), (-1.0, -0.55), (-1.0, -0.32), (-1.0, -0.15))
 _INDICATRICES = (
     (0.0, -1.0, 0.0),
@@ -140,7 +140,7 @@ def cie_sky(
     sun_illuminance: float = 0.0,
     ground: float = GROUND,
 ) -> Sky:
-    """A CIE general sky of type 1 (overcast) to 15 (clear, white and turbid) [CIE-S011], or 16, the traditional
+    """A CIE general sky of type 1 (overcast) to 15 (clear, white and turbid) [CIE 2003], or 16, the traditional
     overcast sky of luminance (1 + 2 cos Z) / 3.
 
     ``sun``: vector towards the sun (x east, y north, z up); the types 1, 3, 5 and 16 need none. One of
@@ -202,9 +202,9 @@ def _checked_sun(sun: ArrayLike, must_be_up: bool = True) -> tuple[float, float,
 
 # ----------------------------------------------------------------------------------------------------------- Perez
 
-#: Upper limits of seven of the eight bins of clearness [Perez1990, table 1].
+#: Upper limits of seven of the eight bins of clearness [Perez 1990, table 1].
 _CLEARNESS = (1.065, 1.23, 1.5, 1.95, 2.8, 4.5, 6.2)
-#: Coefficients of a, b, c, d, e, four each, by clearness [Perez1993, table 1, with the erratum].
+#: Coefficients of a, b, c, d, e, four each, by clearness [Perez 1993, table 1, with the erratum].
 _COEFFICIENTS = (
     "1.3525 -.2576 -.2690 -1.4366  -.7670 .0007 1.2734 -.1233  2.8 .6004 1.2375 1  1.8734 .6297 .9738 .2809  "
     ".0356 -.1246 -.5718 .9938",
@@ -223,7 +223,7 @@ _COEFFICIENTS = (
     "-1.05 .0289 .4260 .3590  -.3250 .1156 .7781 .0025  31.0625 -14.5 -46.1148 55.3750  -7.2312 .4050 13.35 .6234  "
     "1.5 -.6426 1.8564 .5636",
 )
-#: Luminous efficacy of diffuse and of direct light [Perez1990, table 4, eqs. 7 and 8].
+#: Luminous efficacy of diffuse and of direct light [Perez 1990, table 4, eqs. 7 and 8].
 _DIFFUSE = (
     (97.24, -0.46, 12.0, -8.91),
     (107.22, 1.15, 0.59, -3.95),
@@ -258,11 +258,11 @@ def perez_sky(
     dew_point: float = 11.0,
     ground: float = GROUND,
 ) -> Sky:
-    """The all-weather sky of Perez et al. [Perez1993] of two irradiances in W/m^2.
+    """The all-weather sky of Perez et al. [Perez 1993] of two irradiances in W/m^2.
 
     ``sun``: vector towards the sun (x east, y north, z up). ``direct_normal``: irradiance of the sun normal to its
     rays; ``diffuse_horizontal``: irradiance of the sky on the horizontal. ``day`` of the year, from 1, for the distance
-    of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez1990]. The sky
+    of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez 1990]. The sky
     is normalised to the diffuse illuminance; clearness and brightness are limited as in Radiance's ``gendaymtx``.
     Raises :class:`LightingError` for values that are out of range.
     """
@@ -274,17 +274,17 @@ def perez_sky(
         raise LightingError(f"the dew point is {dew_point} degrees C; give a number from -90 to 90")
     z = float(np.arccos(min(towards[2], 1.0)))
     cubed = 1.041 * z**3
-    clearness = float(np.clip(((diffuse + direct) / diffuse + cubed) / (1.0 + cubed), *_CLEAR))  # [Perez1990, eq. 1]
-    air_mass = 1.0 / (np.cos(z) + 0.15 * (93.885 - np.degrees(z)) ** -1.253)  # [Kasten1966]
+    clearness = float(np.clip(((diffuse + direct) / diffuse + cubed) / (1.0 + cubed), *_CLEAR))  # [Perez 1990, eq. 1]
+    air_mass = 1.0 / (np.cos(z) + 0.15 * (93.885 - np.degrees(z)) ** -1.253)  # [Kasten 1966]
     extraterrestrial = _SOLAR_CONSTANT * (1.0 if day is None else _eccentricity(day))
-    brightness = float(np.clip(diffuse * air_mass / extraterrestrial, *_BRIGHT))  # [Perez1990, eq. 2]
+    brightness = float(np.clip(diffuse * air_mass / extraterrestrial, *_BRIGHT))  # [Perez 1990, eq. 2]
     row = int(np.searchsorted(_CLEARNESS, clearness, side="right"))
 
-    water = np.exp(0.07 * dew_point - 0.075)  # [Perez1990, eq. 3]
+    water = np.exp(0.07 * dew_point - 0.075)  # [Perez 1990, eq. 3]
     a, b, c, d = _DIFFUSE[row]
-    lux = diffuse * (a + b * water + c * np.cos(z) + d * np.log(brightness))  # [Perez1990, eq. 7]
+    lux = diffuse * (a + b * water + c * np.cos(z) + d * np.log(brightness))  # [Perez 1990, eq. 7]
     a, b, c, d = _DIRECT[row]
-    efficacy = max(a + b * water + c * np.exp(5.73 * z - 5.0) + d * brightness, 0.0)  # [Perez1990, eq. 8]
+    efficacy = max(a + b * water + c * np.exp(5.73 * z - 5.0) + d * brightness, 0.0)  # [Perez 1990, eq. 8]
     gradation, indicatrix = _distribution(row, z, brightness)
     unit = Sky(gradation, indicatrix, 1.0, towards)
     scale = float(lux) / unit._relative_illuminance
@@ -294,7 +294,7 @@ def perez_sky(
 def _distribution(
     row: int, z: float, brightness: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    """Gradation and indicatrix by bin of clearness, zenith angle of the sun and brightness [Perez1993, eqs. 6 to 8]."""
+    """Gradation and indicatrix by bin of clearness, zenith angle of the sun and brightness [Perez 1993, eqs. 6 to 8]."""
     if 0 < row < 5:  # clearness from 1.065 to 2.8
         brightness = max(brightness, 0.2)
     x: list[list[float]] = np.array(_COEFFICIENTS[row].split(), np.float64).reshape(5, 4).tolist()
@@ -306,7 +306,7 @@ def _distribution(
 
 
 def _eccentricity(day: float) -> float:
-    """Squared ratio of mean and actual distance of the sun [Spencer1971]."""
+    """Squared ratio of mean and actual distance of the sun [Spencer 1971]."""
     angle = 2.0 * np.pi * (day - 1.0) / 365.0
     return float(
         1.00011

@@ -1,6 +1,6 @@
 """Where the sun stands.
 
-The formula of the Astronomical Almanac [Michalsky1988] is vectorised over the hours of a year and agrees with the
+The formula of the Astronomical Almanac [Michalsky 1988] is vectorised over the hours of a year and agrees with the
 almanac to 0.01 degrees from 1950 to 2050. The position is geometric: refraction, which raises the sun by half a degree
 at the horizon and by less than 0.02 degrees above 45 degrees, is left out, as in Radiance's programs.
 """
@@ -43,7 +43,7 @@ def sun_direction(latitude: float, longitude: float, times: Times) -> Array:
     if ((years < _YEARS[0]) | (years > _YEARS[1])).any():
         raise LightingError(f"the sun's position is known from {_YEARS[0]} to {_YEARS[1]}; give a time of these years")
     n = (moments - _EPOCH).astype(np.int64) / _DAY
-    # [Michalsky1988]: ecliptic longitude and obliquity, right ascension and declination, local hour angle.
+    # [Michalsky 1988]: ecliptic longitude and obliquity, right ascension and declination, local hour angle.
     mean_longitude = np.deg2rad((280.460 + 0.9856474 * n) % 360.0)
     anomaly = np.deg2rad((357.528 + 0.9856003 * n) % 360.0)
     ecliptic = mean_longitude + np.deg2rad(1.915 * np.sin(anomaly) + 0.020 * np.sin(2.0 * anomaly))

@@ -20,7 +20,7 @@ from .errors import LightingError
 from .skies import GROUND, Sky, perez_sky
 from .sun import sun_direction
 
-#: Columns that are read, and the value from which on they are missing [EnergyPlus, Auxiliary Programs, EPW].
+#: Columns that are read, and the value from which on they are missing (EnergyPlus, Auxiliary Programs).
 _COLUMNS = {
     "dry_bulb": (6, 99.9),
     "dew_point": (7, 99.9),
