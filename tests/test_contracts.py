@@ -19,7 +19,19 @@ from etendue.core import bibliography
 
 SOURCE = Path(etendue.__file__).parent
 ROOMS = (
-    *("core", "points", "integration", "density", "film", "lighting", "scene", "formats", "surfaces", "transport", "conformance"),
+    *(
+        "core",
+        "points",
+        "integration",
+        "density",
+        "film",
+        "lighting",
+        "scene",
+        "formats",
+        "surfaces",
+        "transport",
+        "conformance",
+    ),
     *("particles", "methods", "radiosity", "engine", "distributed", "display", "products", "viewer", "plugins", "cli"),
 )
 #: Siblings: one stands after the other in the list, but may not import it.

@@ -149,19 +149,19 @@ def make_sky() -> type:
         def _value(self, number: int) -> mi.Float:
             return dr.gather(mi.Float, self.values, number)
 
-        def _towards_sun(self, d: mi.Vector3f) -> tuple[mi.Float, mi.Bool]:
-            """Cosine between a local direction and the sun, and whether the direction is in the sun's disc."""
-            cos = dr.dot(d, self.sun_direction)
-            sine = dr.norm(dr.cross(d, self.sun_direction))  # the cosine of a small angle is rounded
-            return cos, (sine < _SUN_SINE) & (cos > 0.0) & (d.z > 0.0)
+        def _towards_sun(self, d: mi.Vector3f) -> tuple[mi.Float, mi.Float, mi.Bool]:
+            """Angle between a local direction and the sun, its cosine, and whether the direction is in the sun's disc.
+            By the sine, too: the cosine of a small angle is rounded."""
+            cos, sine = dr.dot(d, self.sun_direction), dr.norm(dr.cross(d, self.sun_direction))
+            return dr.atan2(sine, cos), cos, (sine < _SUN_SINE) & (cos > 0.0) & (d.z > 0.0)
 
         def _luminance(self, d: mi.Vector3f) -> mi.Float:
             """That of a local direction (see :mod:`etendue.lighting.skies`)."""
             a, b, t, c, e, f, h, least, scale, disc, ground = (self._value(k) for k in range(_VALUES))
-            cos, in_sun = self._towards_sun(d)
+            angle, cos, in_sun = self._towards_sun(d)
             cos_zenith = dr.maximum(d.z, least)
             gradation = 1.0 + a * dr.exp(b / cos_zenith) + t * cos_zenith
-            indicatrix = 1.0 + c * (dr.exp(e * dr.safe_acos(cos)) - h) + f * dr.square(cos)
+            indicatrix = 1.0 + c * (dr.exp(e * angle) - h) + f * dr.square(cos)
             sky = scale * dr.maximum(gradation * indicatrix, 0.0) + dr.select(in_sun, disc, 0.0)
             return dr.select(d.z > 0.0, sky, ground)
 
@@ -170,7 +170,7 @@ def make_sky() -> type:
             sky, ground, sun = (dr.gather(mi.Float, self._share, k) for k in range(3))
             turn = dr.atan2(d.y, d.x) * dr.inv_two_pi
             place = mi.Point2f(turn - dr.floor(turn), dr.clip(d.z, 0.0, 1.0))
-            cos, in_sun = self._towards_sun(d)
+            _, cos, in_sun = self._towards_sun(d)
             upper = sky * self._table.eval(place) * dr.inv_two_pi
             upper += dr.select(in_sun, sun * cos / (dr.pi * _SUN_SINE**2), 0.0)
             return dr.select(d.z > 0.0, upper, ground * dr.inv_two_pi)
