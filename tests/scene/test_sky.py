@@ -130,6 +130,20 @@ def test_samples(sky):
     assert abs(found.mean() - around.mean() - sun) < 4.5 * error
 
 
+def test_the_sun_at_the_horizon():
+    """Half of its disc shines; the samples of the other half belong to the ground."""
+    sun = [1.0, 0.0, 0.0]
+    sky = perez_sky(sun, 200.0, 60.0)
+    _, emitter = emitter_of(**PEREZ | {"sun_direction": sun, "direct_normal": 200.0, "diffuse_horizontal": 60.0})
+    n = 400_000
+    u = np.random.default_rng(2).random((2, n)).astype(np.float32)
+    ds, weight = emitter.sample_direction(dr.zeros(mi.Interaction3f, n), mi.Point2f(u))
+    weights, d = EFFICACY * np.array(weight[0], np.float64), np.array(ds.d, np.float64).T
+    assert_mean(weights * (d[:, 2] < 0.0), 2.0 * np.pi * sky.ground_luminance)
+    near = d @ np.array(sun) > np.cos(np.deg2rad(0.5 * SUN_DIAMETER))
+    assert_mean(weights * near * (d[:, 2] > 0.0), 0.5 * sky.sun_illuminance, sigmas=6.0)
+
+
 @pytest.mark.parametrize(
     "sky", [CIE, PEREZ | {"sun": False}, {"kind": 5, "zenith_luminance": 500.0, "ground_reflectance": 0.0}]
 )

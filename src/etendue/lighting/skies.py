@@ -262,9 +262,9 @@ def perez_sky(
 
     ``sun``: vector towards the sun (x east, y north, z up). ``direct_normal``: irradiance of the sun normal to its
     rays; ``diffuse_horizontal``: irradiance of the sky on the horizontal. ``day`` of the year, from 1, for the distance
-    of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez 1990]. The sky
-    is normalised to the diffuse illuminance; clearness and brightness are limited as in Radiance's ``gendaymtx``.
-    Raises :class:`LightingError` for values that are out of range.
+    of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez 1990].
+    The sky is normalised to the diffuse illuminance; clearness and brightness are limited as in Radiance's
+    ``gendaymtx``. Raises :class:`LightingError` for values that are out of range.
     """
     towards = _checked_sun(sun)
     direct, diffuse = _positive("direct irradiance", direct_normal), _positive("diffuse irradiance", diffuse_horizontal)
@@ -294,7 +294,7 @@ def perez_sky(
 def _distribution(
     row: int, z: float, brightness: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    """Gradation and indicatrix by bin of clearness, zenith angle of the sun and brightness [Perez 1993, eqs. 6 to 8]."""
+    """Gradation and indicatrix by bin of clearness, the sun's zenith angle, brightness [Perez 1993, eqs. 6 to 8]."""
     if 0 < row < 5:  # clearness from 1.065 to 2.8
         brightness = max(brightness, 0.2)
     x: list[list[float]] = np.array(_COEFFICIENTS[row].split(), np.float64).reshape(5, 4).tolist()

@@ -150,10 +150,10 @@ def make_sky() -> type:
             return dr.gather(mi.Float, self.values, number)
 
         def _towards_sun(self, d: mi.Vector3f) -> tuple[mi.Float, mi.Float, mi.Bool]:
-            """Angle between a local direction and the sun, its cosine, and whether the direction is in the sun's disc.
-            By the sine, too: the cosine of a small angle is rounded."""
+            """Angle between a local direction and the sun, its cosine, and whether the direction is in the sun's disc,
+            also below the horizon. By the sine, too: the cosine of a small angle is rounded."""
             cos, sine = dr.dot(d, self.sun_direction), dr.norm(dr.cross(d, self.sun_direction))
-            return dr.atan2(sine, cos), cos, (sine < _SUN_SINE) & (cos > 0.0) & (d.z > 0.0)
+            return dr.atan2(sine, cos), cos, (sine < _SUN_SINE) & (cos > 0.0)
 
         def _luminance(self, d: mi.Vector3f) -> mi.Float:
             """That of a local direction (see :mod:`etendue.lighting.skies`)."""
@@ -171,9 +171,8 @@ def make_sky() -> type:
             turn = dr.atan2(d.y, d.x) * dr.inv_two_pi
             place = mi.Point2f(turn - dr.floor(turn), dr.clip(d.z, 0.0, 1.0))
             _, cos, in_sun = self._towards_sun(d)
-            upper = sky * self._table.eval(place) * dr.inv_two_pi
-            upper += dr.select(in_sun, sun * cos / (dr.pi * _SUN_SINE**2), 0.0)
-            return dr.select(d.z > 0.0, upper, ground * dr.inv_two_pi)
+            half = dr.select(d.z > 0.0, sky * self._table.eval(place), ground) * dr.inv_two_pi
+            return half + dr.select(in_sun, sun * cos / (dr.pi * _SUN_SINE**2), 0.0)
 
         def _direction(self, u: mi.Point2f, active: mi.Bool | bool) -> mi.Vector3f:
             """A local direction with that density."""
