@@ -75,7 +75,8 @@ LIGHTS = {
     "directional": lambda: {"type": "directional"},
     "projector": lambda: {"type": "projector", "irradiance": bitmap()},
     "beam": lambda: {"type": "rectangle", "emitter": {"type": "directionalarea"}},
-    "sky": lambda: {"type": "sunsky"},
+    "sunsky": lambda: {"type": "sunsky"},
+    "sky": lambda: {"type": "sky", "kind": 1, "zenith_luminance": 1000.0},
 }
 
 

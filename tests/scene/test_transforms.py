@@ -16,6 +16,7 @@ CHANGES = ("rotation", "mirror", "scale", "stretch", "shear", "flat", "long axis
 OUTCOMES = {
     "envmap": "yy1nnnn",
     "sunsky": "yy1nnnn",
+    "sky": "yy1nnnn",
     "directional": "yy1nnnn",
     "spot": "yy1nnnn",
     "projector": "yy1nnnn",
@@ -36,7 +37,7 @@ OUTCOMES = {
     "lit cylinder": "ynynnnn",
     "texture": "yyyyyyn",
 }
-LIGHTS = ("envmap", "sunsky", "directional", "spot", "projector", "point")
+LIGHTS = ("envmap", "sunsky", "sky", "directional", "spot", "projector", "point")
 SENSORS = ("perspective", "thinlens", "spherical", "orthographic")
 
 
@@ -72,6 +73,8 @@ def described(kind, change, folder):
     match kind:
         case "envmap":
             it["bitmap"] = picture()
+        case "sky":
+            it |= {"kind": 1, "zenith_luminance": 683.0}
         case "projector":
             it["irradiance"] = {"type": "bitmap", "bitmap": picture()}
         case "thinlens":
@@ -114,7 +117,9 @@ def test_transforms_of_every_kind_of_element(kind, tmp_path):
             assert np.allclose(matrix, expected, atol=1e-6), name
 
 
-@pytest.mark.parametrize("kind", ["envmap", "sunsky", "directional", "spot", "instance", "lit sphere", "lit cylinder"])
+@pytest.mark.parametrize(
+    "kind", ["envmap", "sunsky", "sky", "directional", "spot", "instance", "lit sphere", "lit cylinder"]
+)
 def test_transforms_of_loaded_scenes(kind, tmp_path):
     for name, outcome in zip(CHANGES, OUTCOMES[kind], strict=True):
         loaded = mi.load_dict(described(kind, transform(name), tmp_path))

@@ -154,6 +154,12 @@ def _sunsky() -> Dict:
     return {"light": sky | {"to_world": up}}
 
 
+def _cie_sky() -> Dict:
+    up = transform().rotate([1, 0, 0], -90)
+    sky = {"type": "sky", "kind": 12, "sun_direction": [0.5, 0.3, 0.8], "diffuse_illuminance": 1500.0}
+    return {"light": sky | {"color": rgb(0.8, 1.0, 1.3), "to_world": up}}
+
+
 #: Every kind of emitter, each the contents of a scene dictionary.
 EMITTERS: dict[str, Callable[[], Dict]] = {
     "rectangle": _rectangle,
@@ -181,6 +187,7 @@ EMITTERS: dict[str, Callable[[], Dict]] = {
         }
     },
     "sunsky": _sunsky,
+    "sky": _cie_sky,
     "cylinder": lambda: {
         "light": {
             "type": "cylinder",

@@ -17,7 +17,7 @@ from etendue.scene import LightTable
 from etendue.transport import emission_of_hit, emit, sample_direct, surroundings
 
 N = 1 << 17
-SKIES = ("constant", "envmap", "sunsky", "directional")
+SKIES = ("constant", "envmap", "sunsky", "sky", "directional")
 
 
 def table(*emitters: str, share: float = 0.75) -> tuple[mi.Scene, LightTable]:
@@ -89,7 +89,7 @@ def test_a_room_on_a_wide_plain():
     assert_mean(flux(lights, *inside)[:, 0], np.pi * 4.0 * np.pi * 0.3**2)
 
 
-@pytest.mark.parametrize("emitter", ("constant", "envmap", "sunsky"))
+@pytest.mark.parametrize("emitter", ("constant", "envmap", "sunsky", "sky"))
 def test_a_hit_knows_the_density_of_emission(emitter):
     """Rays back to where others came from."""
     scene, lights = table(emitter)

@@ -2,4 +2,14 @@
 
 from .errors import LightingError as LightingError
 from .meters import QUANTITIES as QUANTITIES, Meters as Meters, Quantity as Quantity
+from .patches import SkyPatches as SkyPatches
+from .skies import (
+    GROUND as GROUND,
+    SUN_DIAMETER as SUN_DIAMETER,
+    Sky as Sky,
+    cie_sky as cie_sky,
+    perez_sky as perez_sky,
+)
+from .sun import sun_direction as sun_direction, universal as universal
 from .units import EFFICACY as EFFICACY
+from .weather import Weather as Weather, read_epw as read_epw

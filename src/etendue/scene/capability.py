@@ -35,6 +35,7 @@ _EMITTERS = (
     "constant",
     "envmap",
     "sunsky",
+    "sky",
 )
 #: Shapes besides meshes. Curves are missing: only rays from outside hit them, so paths are not reversible.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")

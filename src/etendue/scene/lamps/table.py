@@ -10,8 +10,8 @@ area       1 / A, uniform over the shape; by   cos(theta) / pi; focusarea: (n+2)
            the radiance where that varies      theta: angle to the face, also with vertex normals
 point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
            projector)                          every ray
-infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky), or 1 for its
-                                               only direction (directional)
+infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky, sky), or 1
+                                               for its only direction (directional)
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
@@ -359,7 +359,8 @@ def _describe(emitter: mi.Emitter, bound: mi.BoundingSphere3f) -> _Row:
     one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
         disc = np.pi * float(np.asarray(bound.radius).ravel()[0]) ** 2
-        power = _power_through(emitter, bound.center, disc) if is_spectral() else _power(emitter)
+        by_rays = not is_spectral() and plugin_name(emitter) != "sky"  # which emits no rays
+        power = _power(emitter) if by_rays else _power_through(emitter, bound.center, disc)
         return _Row(name, "infinite", power, weight, 1.0 / disc, is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         projects = "irradiance" in mi.traverse(emitter)

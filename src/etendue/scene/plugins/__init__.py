@@ -1,5 +1,5 @@
-"""étendue's own Mitsuba plugins: BSDFs ``phong``, ``ward``, ``dispersive`` and ``roughdispersive``, emitter
-``focusarea``, sensor ``spherical``, texture ``mipmap``; and materials from functions.
+"""étendue's own Mitsuba plugins: BSDFs ``phong``, ``ward``, ``dispersive`` and ``roughdispersive``, emitters
+``focusarea`` and ``sky``, sensor ``spherical``, texture ``mipmap``; and materials from functions.
 
 Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
 its base class depends on the variant.
@@ -20,6 +20,7 @@ from .meters import make_meters
 from .mipmap import make_mipmap
 from .phong import PhongLobe
 from .reflection import make_reflection
+from .sky import make_sky
 from .spherical import make_spherical
 from .ward import WardLobe
 
@@ -33,7 +34,7 @@ _BSDFS = {
     "dispersive": lambda: make_dispersive(is_rough=False),
     "roughdispersive": lambda: make_dispersive(is_rough=True),
 }
-_EMITTERS = {"focusarea": make_focusarea}
+_EMITTERS = {"focusarea": make_focusarea, "sky": make_sky}
 _SENSORS = {"spherical": make_spherical, "meters": make_meters}
 _TEXTURES = {"mipmap": make_mipmap}
 
