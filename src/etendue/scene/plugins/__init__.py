@@ -1,5 +1,5 @@
-"""étendue's own Mitsuba plugins: BSDFs ``phong``, ``ward``, ``dispersive`` and ``roughdispersive``, emitter
-``focusarea``, sensor ``spherical``, texture ``mipmap``; and materials from functions.
+"""étendue's own Mitsuba plugins: BSDFs ``phong``, ``ward``, ``dispersive`` and ``roughdispersive``, emitters
+``focusarea`` and ``luminaire``, sensor ``spherical``, texture ``mipmap``; and materials from functions.
 
 Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
 its base class depends on the variant.
@@ -16,6 +16,7 @@ from etendue.core import check_variant
 from .composed import composed_bsdf as composed_bsdf
 from .dispersive import make_dispersive
 from .focusarea import make_focusarea
+from .luminaire import make_luminaire
 from .mipmap import make_mipmap
 from .phong import PhongLobe
 from .reflection import make_reflection
@@ -32,7 +33,7 @@ _BSDFS = {
     "dispersive": lambda: make_dispersive(is_rough=False),
     "roughdispersive": lambda: make_dispersive(is_rough=True),
 }
-_EMITTERS = {"focusarea": make_focusarea}
+_EMITTERS = {"focusarea": make_focusarea, "luminaire": make_luminaire}
 _SENSORS = {"spherical": make_spherical}
 _TEXTURES = {"mipmap": make_mipmap}
 
