@@ -1,6 +1,7 @@
 """Lighting design and daylight as numbers: photometric files, skies, the sun, weather, units. NumPy only."""
 
 from .errors import LightingError as LightingError
+from .files import read_photometry as read_photometry
 from .meters import QUANTITIES as QUANTITIES, Meters as Meters, Quantity as Quantity
 from .patches import SkyPatches as SkyPatches
 from .skies import (
@@ -13,3 +14,4 @@ from .skies import (
 from .sun import sun_direction as sun_direction, universal as universal
 from .units import EFFICACY as EFFICACY
 from .weather import Weather as Weather, read_epw as read_epw
+from .web import PhotometricWeb as PhotometricWeb

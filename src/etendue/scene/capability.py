@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _EMITTERS = (
     "area",
     "focusarea",
+    "luminaire",
     "point",
     "spot",
     "projector",

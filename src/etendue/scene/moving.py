@@ -105,10 +105,12 @@ def _move(state: mi.parser.ParserState, space: RenderSpace, scene: mi.Scene) -> 
                 _move_shape(props, space)
             case kind if kind in SENSORS:
                 _move_sensor(props, space)
-            case "point" | "spot" | "projector" as kind:
+            case "point" | "spot" | "projector" | "luminaire" as kind:
                 _move_frame(props, space)
                 if kind == "projector":  # irradiance at the distance 1
                     _scale(props, ["scale"], square, {"scale": 1.0})
+                if kind == "luminaire":
+                    _scale(props, ["dimming"], square, {"dimming": 1.0})
             case "homogeneous" | "heterogeneous":  # extinction per length
                 _scale(props, ["scale"], 1.0 / space.scale, {"scale": 1.0})
             case "bumpmap":  # heights
@@ -227,6 +229,6 @@ def _fixed(built: mi.Object) -> str | None:
             return describe(item, "shape" if isinstance(item, mi.Shape) else "emitter")
         if isinstance(item, (mi.Medium, mi.Volume)) and kind != "constvolume":
             return describe(item, "medium" if isinstance(item, mi.Medium) else "volume")
-        if isinstance(item, mi.Sensor) or kind in (*_LAMPS, "projector", "bumpmap"):
+        if isinstance(item, mi.Sensor) or kind in (*_LAMPS, "projector", "luminaire", "bumpmap"):
             return describe(item, "sensor" if isinstance(item, mi.Sensor) else "plugin")
     return None

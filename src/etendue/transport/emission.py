@@ -148,21 +148,22 @@ def _emit_point(
     out: EmittedRay, light: Light, u_direction: mi.Point2f, learned: Departure | None, mask: mi.Bool
 ) -> None:
     ray, weight = _own_ray(light, "point", u_direction, mask)
-    direction_density = light.direction_density
-    out.own_pdf[mask] = direction_density
+    own = direction_density = light.ray_density(ray.d, mask)
     if learned is not None:
         # The emitter gives the intensity at distance 1; ``weight`` is divided by the density of the mixture below.
         probe = dr.zeros(mi.Interaction3f)
         probe.p, probe.wavelengths = ray.o + learned.direction, ray.wavelengths
         guided = mask & learned.applies
         ds, intensity = light.sample_direction("point", probe, u_direction, guided)
-        weight = dr.select(guided, intensity * dr.square(ds.dist), weight * direction_density)
+        weight = dr.select(guided, intensity * dr.square(ds.dist), weight * own)
         ray.d = dr.select(guided, learned.direction, ray.d)
+        own = dr.select(guided, light.ray_density(learned.direction, guided), own)
         lit = dr.any(weight > 0.0)  # a spot light has no density outside its cone
-        direction_density = learned.mixed(ray.d, dr.select(lit, direction_density, 0.0), mask)
-        direction_density = dr.select(direction_density > 0.0, direction_density, 1.0)
-        weight /= direction_density
+        direction_density = learned.mixed(ray.d, dr.select(lit, own, 0.0), mask)
+        weight /= dr.select(direction_density > 0.0, direction_density, 1.0)
         ray = mi.Ray3f(ray.o, ray.d, 0.0, ray.wavelengths)
+    direction_density = dr.select(direction_density > 0.0, direction_density, 1.0)
+    out.own_pdf[mask] = own
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.emitted
     out.direction_pdf[mask] = direction_density
@@ -327,7 +328,7 @@ def _direct_point(
     out.target[mask] = ds.p
     out.radiance[mask] = weight / light.pick
     out.pdf[mask] = light.pick * distance_squared
-    direction_density = departing(departures, light, light.direction_density, -ds.d, mask)
+    direction_density = departing(departures, light, light.ray_density(-ds.d, mask), -ds.d, mask)
     out.light_ratio[mask] = of_emission(light, direction_density / distance_squared)
 
 

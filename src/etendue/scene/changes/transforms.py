@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 #: Emitters of whose ``to_world`` only position and rotation (or reflection) are meant.
-_TURNED = ("envmap", "sunsky", "sky", "directional", "spot", "projector")
+_TURNED = ("envmap", "sunsky", "sky", "directional", "spot", "projector", "luminaire")
 #: Largest relative difference of lengths, and deviation from right angles, that counts as rounding.
 _TOLERANCE = 5e-3
 #: Relative difference from which on a matrix is replaced; the unit of rounding of single precision; and the product of

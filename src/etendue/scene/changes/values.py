@@ -37,7 +37,9 @@ _SHARES = frozenset(
 )
 _ANGLES = frozenset({"cutoff_angle", "beam_width"})
 _WIDTHS = frozenset({"alpha", "alpha_u", "alpha_v"})
-_NOT_NEGATIVE = frozenset({"radiance", "intensity", "irradiance", "scale", "k", "exponent", "turbidity", "sigma_t"})
+_NOT_NEGATIVE = frozenset(
+    ("radiance", "intensity", "irradiance", "dimming", "scale", "k", "exponent", "turbidity", "sigma_t")
+)
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ def range_of(name: str, of_light: bool) -> Range:
         return Range(0.0, 1.0, above=True)
     if name == "eta":
         return Range(0.0)
+    if name == "flux":
+        return Range(0.0, above=True)
     if name == "g":  # of a phase function
         return Range(-0.999, 0.999)
     return Range(0.0) if name in _NOT_NEGATIVE else Range()

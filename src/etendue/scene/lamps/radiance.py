@@ -79,7 +79,7 @@ def measure(emitter: mi.Emitter) -> RadianceCells:
 def is_black(emitter: mi.Emitter) -> bool:
     """Whether an emitter is known to be black: a factor of its radiance is zero everywhere."""
     found = contents(emitter)
-    numbers = [as_array(value) for name, value in found.values if name in ("data", "scale")]  # of an environment map
+    numbers = [as_array(value) for name, value in found.values if name in ("data", "scale", "dimming")]
     textures = [value for name, value in found.objects if name in ("radiance", "intensity", "irradiance", "texture")]
     return any((array <= 0).all() for array in numbers) or any(_is_black_texture(texture) for texture in textures)
 

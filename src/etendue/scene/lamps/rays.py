@@ -37,10 +37,10 @@ def own_ray(
 def _at_wavelengths(
     emitter: mi.Emitter, weight: mi.Spectrum, u: mi.Point2f, v: mi.Point2f, wavelengths: mi.Spectrum, active: mi.Bool
 ) -> mi.Spectrum:
-    """The weight of a ray that a point light, a projector or a beam has sampled, at wavelengths other than its own."""
+    """The weight of a ray that an emitter of one point or direction has sampled, at wavelengths other than its own."""
     found = contents(emitter)
     textures, scale = dict(found.objects), dict(found.values).get("scale", 1.0)  # of a projector
-    (name,) = textures.keys() & {"intensity", "irradiance", "radiance"}
+    (name,) = textures.keys() & {"intensity", "irradiance", "radiance", "color"}
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
     if name == "irradiance":
         si.uv, _ = textures[name].sample_position(v, active)

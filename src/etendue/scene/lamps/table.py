@@ -9,7 +9,7 @@ kind       point density p_A (per area)        direction density p_w of an emitt
 area       1 / A, uniform over the shape; by   cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1);
            the radiance where that varies      theta: angle to the face, also with vertex normals
 point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
-           projector)                          every ray
+           projector, luminaire)               every ray; luminaire: its intensity over its flux
 infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky, sky), or 1
                                                for its only direction (directional)
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
@@ -63,7 +63,7 @@ class Light:
     pick: mi.Float  #: probability with which next event estimation picks the light
     emitted: mi.Float  #: probability with which emission picks the light; equal to ``pick`` unless both were learned
     area_density: mi.Float  #: 1/A of an area emitter or a beam, 1 of a point-like one, 1/(pi R^2) of an infinite one
-    direction_density: mi.Float  #: of a point-like emitter, per solid angle; 0 for the others
+    direction_density: mi.Float  #: of a point-like emitter, per solid angle; 0 for luminaires and for the others
     is_delta: mi.Bool  #: no ray can hit it: point-like emitters, beams, and emitters with one direction
     is_area: mi.Bool
     is_point: mi.Bool
@@ -97,6 +97,13 @@ class Light:
         if self.exponent is None:
             return cos * dr.inv_pi
         return square_to_cosine_power_pdf(cos, self.exponent + 1.0)
+
+    def ray_density(self, d: mi.Vector3f, active: mi.Bool) -> mi.Float:
+        """Solid-angle density with which a point-like emitter's ray leaves in the world direction ``d``."""
+        if not self.emitters["web"]:
+            return self.direction_density
+        own = self.call("web", lambda emitter, d, active: emitter.ray_pdf(d, active), d, active=active)
+        return dr.select(self.direction_density > 0.0, self.direction_density, own)
 
     def direction(self, u: mi.Point2f) -> mi.Vector3f:
         """A direction around the z axis with the density of :meth:`direction_pdf`."""
@@ -153,7 +160,7 @@ class LightTable:
 
         self._pick = on_device(mi.Float, pick)
         self._area_density = on_device(mi.Float, [r.area_density for r in rows])
-        self._direction_density = on_device(mi.Float, [r.direction_density for r in rows])
+        self._direction_density = on_device(mi.Float, [0.0 if r.is_web else r.direction_density for r in rows])
         self._kind = on_device(mi.UInt32, [_KINDS.index(r.kind) for r in rows])
         focused = any(r.exponent for r in rows)
         self._exponent = on_device(mi.Float, [r.exponent for r in rows]) if focused else None
@@ -181,6 +188,7 @@ class LightTable:
         row_of[ids] = np.arange(len(rows))
         self._row_of = on_device(mi.UInt32, row_of)
         numbers = {kind: [n for n, r in enumerate(rows) if r.kind == kind] for kind in _KINDS}
+        numbers["web"] = [n for n, r in enumerate(rows) if r.is_web]
         numbers["visible"] = numbers["area"] + numbers["infinite"]
         self._emitters = {kind: Members(mi.EmitterPtr, ids[own], own) for kind, own in numbers.items()}
 
@@ -322,10 +330,11 @@ class _Row:
     power: float
     weight: float  #: ``sampling_weight`` of the emitter
     area_density: float
-    direction_density: float = 0.0
+    direction_density: float = 0.0  #: of a luminaire: as if it were uniform
     is_delta: bool = False
     exponent: float = 0.0
     is_projector: bool = False
+    is_web: bool = False  #: whether the light is a luminaire
     cells: RadianceCells | None = None  #: of an area light whose radiance varies
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical light
 
@@ -339,7 +348,8 @@ class _Row:
             if "to_world" not in values:
                 return Lamp(power, as_array(values["position"]).ravel().tolist())
             place = np.asarray(values["to_world"].matrix, np.float64).reshape(4, 4)
-            axis, cosine = place[:3, 2] / np.linalg.norm(place[:3, 2]), 1.0 - 0.5 / (np.pi * self.direction_density)
+            forward = -place[:3, 2] if self.is_web else place[:3, 2]
+            axis, cosine = forward / np.linalg.norm(forward), 1.0 - 0.5 / (np.pi * self.direction_density)
             even = 4.0 * np.pi * self.direction_density
             return Lamp(power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
         shape = emitter.get_shape()
@@ -363,9 +373,9 @@ def _describe(emitter: mi.Emitter, bound: mi.BoundingSphere3f) -> _Row:
         power = _power(emitter) if by_rays else _power_through(emitter, bound.center, disc)
         return _Row(name, "infinite", power, weight, 1.0 / disc, is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
-        projects = "irradiance" in mi.traverse(emitter)
-        density = _cone_density(emitter)
-        return _Row(name, "point", _power(emitter), weight, 1.0, density, is_delta=True, is_projector=projects)
+        projects, is_web = "irradiance" in mi.traverse(emitter), plugin_name(emitter) == "luminaire"
+        power, density = _power(emitter), _cone_density(emitter)
+        return _Row(name, "point", power, weight, 1.0, density, True, is_projector=projects, is_web=is_web)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
         raise SceneError(f"area emitter '{name}' is on a shape without area; remove it or repair the shape")
@@ -428,6 +438,8 @@ def _cone_density(emitter: mi.Emitter) -> float:
         ray, _ = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), spread_wavelengths())
         axis = np.asarray(parameters["to_world"].matrix, np.float64).reshape(4, 4)[:3, 2]
         cosine = float((axis / np.linalg.norm(axis) @ np.asarray(ray.d, np.float64)).min())
+    elif plugin_name(emitter) == "luminaire":
+        cosine = emitter.table.least_cosine
     else:
         cosine = -1.0
     return float(1.0 / (2.0 * np.pi * max(1.0 - cosine, 1e-6)))

@@ -1,5 +1,6 @@
 """étendue's own Mitsuba plugins: BSDFs ``phong``, ``ward``, ``dispersive`` and ``roughdispersive``, emitters
-``focusarea`` and ``sky``, sensor ``spherical``, texture ``mipmap``; and materials from functions.
+``focusarea``, ``luminaire`` and ``sky``, sensors ``spherical`` and ``meters``, texture ``mipmap``; and materials from
+functions.
 
 Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
 its base class depends on the variant.
@@ -16,6 +17,7 @@ from etendue.core import check_variant
 from .composed import composed_bsdf as composed_bsdf
 from .dispersive import make_dispersive
 from .focusarea import make_focusarea
+from .luminaire import make_luminaire
 from .meters import make_meters
 from .mipmap import make_mipmap
 from .phong import PhongLobe
@@ -34,7 +36,7 @@ _BSDFS = {
     "dispersive": lambda: make_dispersive(is_rough=False),
     "roughdispersive": lambda: make_dispersive(is_rough=True),
 }
-_EMITTERS = {"focusarea": make_focusarea, "sky": make_sky}
+_EMITTERS = {"focusarea": make_focusarea, "luminaire": make_luminaire, "sky": make_sky}
 _SENSORS = {"spherical": make_spherical, "meters": make_meters}
 _TEXTURES = {"mipmap": make_mipmap}
 
