@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     )
     from .engine import Session as Session
     from .products import (
+        DaylightResult as DaylightResult,
         FormFactorResult as FormFactorResult,
         RadiosityResult as RadiosityResult,
         Readings as Readings,
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     )
     from .verbs import (
         compute_form_factors as compute_form_factors,
+        daylight as daylight,
         map_particles as map_particles,
         measure as measure,
         read_particles as read_particles,

@@ -19,9 +19,17 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from etendue.engine import Checkpoint, Session, Task
-    from etendue.lighting import Meters, Quantity
+    from etendue.lighting import Meters, Quantity, Weather
     from etendue.particles import Particles
-    from etendue.products import Callback, FormFactorResult, PathLike, RadiosityResult, Readings, Rendering
+    from etendue.products import (
+        Callback,
+        DaylightResult,
+        FormFactorResult,
+        PathLike,
+        RadiosityResult,
+        Readings,
+        Rendering,
+    )
     from etendue.products.particles import MadeMap, ParticleResult
     from etendue.products.patches import FactorRun, SolutionRun
     from etendue.viewer import Viewer
@@ -142,16 +150,10 @@ def measure(
     :class:`SceneError` for meters inside solids.
     """
     from etendue.engine import Task
-    from etendue.lighting import Meters
     from etendue.products import MeterTable, budget_of, choose_method
     from etendue.scene import SceneSource, colours_of
 
-    if isinstance(meters, (str, os.PathLike)):
-        placed = Meters.read(Path(meters), quantity)
-    elif isinstance(meters, Meters):
-        placed = meters
-    else:
-        placed = Meters(np.atleast_2d(meters), np.atleast_2d(directions), quantity)
+    placed = _meters(meters, directions, quantity)
     product = MeterTable.of(placed, save, photometric)
     use_variant(variant, colours_of(scene))
     kind = choose_method(method, scene, parameters)
@@ -159,6 +161,67 @@ def measure(
     budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
     source = SceneSource(scene, parameters=parameters, memory=memory, meters=placed)
     return _run(Task(source, kind, product, settings, seed, budget), callback, cluster, workers, wait)
+
+
+@_verb
+def daylight(
+    scene: Any,
+    meters: Meters | PathLike | ArrayLike,
+    directions: ArrayLike = (0.0, 0.0, 1.0),
+    weather: Weather | PathLike | None = None,
+    *,
+    seconds: float | None = None,
+    spp: int | None = None,
+    error: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    cluster: Any = None,
+    workers: int | None = None,
+    wait: bool = True,
+    **settings: Any,
+) -> DaylightResult:
+    """Daylight coefficients of meters: what each patch of the sky contributes, through openings and by reflections. The
+    scene needs no lamp, and its own have no effect.
+
+    meters, directions: as for :func:`measure`.
+    weather: :class:`etendue.lighting.Weather` or an EPW file; the result then has the illuminance of all hours of the
+        year, daylight autonomy, useful daylight illuminance and the level of EN 17037.
+    seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter (65,536
+        without limits), and the relative standard error of the irradiance by a uniform sky.
+    save: ``.mtx``, coefficients for Radiance's ``dctimestep``; ``.npz``, all arrays; ``.csv``, with weather, the
+        metrics of each meter.
+    settings: ``patches``, ``up``, ``north`` and ``max_depth``, see :class:`etendue.methods.SkySettings`.
+
+    The other arguments and the errors are those of :func:`measure`.
+    """
+    from etendue.engine import Task
+    from etendue.lighting import Weather, read_epw
+    from etendue.methods import SkyTracing
+    from etendue.products import Daylight, budget_of
+    from etendue.scene import SceneSource
+
+    placed = _meters(meters, directions, "irradiance")
+    year = weather if weather is None or isinstance(weather, Weather) else read_epw(weather)
+    product = Daylight.of(placed, year, save)
+    SkyTracing.Settings.check_arguments(settings, "daylight", daylight)
+    use_variant(variant)
+    budget = budget_of(SkyTracing, {"seconds": seconds, "spp": spp, "error": error})
+    source = SceneSource(scene, parameters=parameters, meters=placed, lit=False)
+    return _run(Task(source, SkyTracing, product, settings, seed, budget), callback, cluster, workers, wait)
+
+
+def _meters(meters: Any, directions: ArrayLike, quantity: Quantity) -> Meters:
+    """Meters, those of a file, or at points."""
+    from etendue.lighting import Meters
+
+    if isinstance(meters, (str, os.PathLike)):
+        return Meters.read(Path(meters), quantity)
+    if isinstance(meters, Meters):
+        return meters
+    return Meters(np.atleast_2d(meters), np.atleast_2d(directions), quantity)
 
 
 @_verb

@@ -36,7 +36,7 @@ from .developing import develop
 from .film_picture import film_picture
 from .inspection.viewing import view
 from .interrupts import leaving
-from .measuring import MeasureCommand, measure
+from .measuring import DaylightCommand, MeasureCommand, daylight, measure
 from .particle_maps import app as particles
 from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
 from .pictures import PictureCommand, compare, demo, render, run
@@ -158,6 +158,7 @@ def root(
 
 app.command(cls=PictureCommand)(render)
 app.command(cls=MeasureCommand)(measure)
+app.command(cls=DaylightCommand)(daylight)
 
 
 @app.command()

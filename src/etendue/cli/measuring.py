@@ -1,4 +1,4 @@
-"""The command that measures light at points."""
+"""The commands that measure light at points, and what the sky contributes there."""
 
 from __future__ import annotations
 
@@ -24,34 +24,46 @@ def _methods() -> dict[str, Any]:
     return {name: kind.Settings for name, kind in methods.table().items() if kind.measures}
 
 
-#: The command with the settings of the methods that measure.
+def _of_the_sky() -> dict[str, Any]:
+    from etendue.methods import SkySettings
+
+    return {"daylight": SkySettings}
+
+
+#: The commands with the settings of the methods that measure, and of daylight.
 MeasureCommand = with_settings(_methods, "path")
+DaylightCommand = with_settings(_of_the_sky, "daylight")
+
+Points = Annotated[
+    Path | None,
+    typer.Option(
+        "--points",
+        "-p",
+        help="Meters: a file with a line x,y,z,nx,ny,nz for each; commas, semicolons or blanks between numbers.",
+        metavar="FILE",
+    ),
+]
+Grid = Annotated[
+    str | None,
+    typer.Option(
+        "--grid",
+        help="Meters on a plane: a corner and two edges of a parallelogram, as '0,0,0.85 4,0,0 0,3,0'; they face "
+        "the first edge times the second.",
+        metavar="'CORNER U V'",
+    ),
+]
+Cells = Annotated[
+    opt.Size | None,
+    typer.Option("--cells", help="Meters of the grid along its edges.", parser=opt.parse_size, metavar="NxM"),
+]
+PathsOfMeters = Annotated[int | None, typer.Option("--spp", help="Stop at so many paths of each meter.", metavar="N")]
 
 
 def measure(
     scene: opt.Scene,
-    points: Annotated[
-        Path | None,
-        typer.Option(
-            "--points",
-            "-p",
-            help="Meters: a file with a line x,y,z,nx,ny,nz for each; commas, semicolons or blanks between numbers.",
-            metavar="FILE",
-        ),
-    ] = None,
-    grid: Annotated[
-        str | None,
-        typer.Option(
-            "--grid",
-            help="Meters on a plane: a corner and two edges of a parallelogram, as '0,0,0.85 4,0,0 0,3,0'; they face "
-            "the first edge times the second.",
-            metavar="'CORNER U V'",
-        ),
-    ] = None,
-    cells: Annotated[
-        opt.Size | None,
-        typer.Option("--cells", help="Meters of the grid along its edges.", parser=opt.parse_size, metavar="NxM"),
-    ] = None,
+    points: Points = None,
+    grid: Grid = None,
+    cells: Cells = None,
     output: opt.Output = None,
     photometric: Annotated[
         bool, typer.Option("--photometric", help="In lx or cd/m^2 (683 lm/W), not in watts of red, green and blue.")
@@ -61,9 +73,7 @@ def measure(
     ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="path, guided or bpt.", metavar="NAME")] = "path",
     time: opt.Time = None,
-    spp: Annotated[
-        int | None, typer.Option("--spp", help="Stop at this many paths of each meter.", metavar="N")
-    ] = None,
+    spp: PathsOfMeters = None,
     error: opt.Error = None,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
@@ -109,6 +119,69 @@ def measure(
         outcome = follow(lambda: start_job(open_job, None, opened), console, kind.name)
     if outcome.result is not None:
         note(console, outcome.result.summary(photometric))
+        say("\n".join(map(str, product.files)))
+    return outcome.exit_code
+
+
+def daylight(
+    scene: opt.Scene,
+    points: Points = None,
+    grid: Grid = None,
+    cells: Cells = None,
+    weather: Annotated[
+        Path | None, typer.Option("--epw", help="Weather of a year, for the metrics of the year.", metavar="FILE")
+    ] = None,
+    output: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Coefficients for Radiance (.mtx), all arrays (.npz), or with --epw the metrics of each meter (.csv); "
+            "give it again for more.",
+            metavar="FILE",
+        ),
+    ] = None,
+    time: opt.Time = None,
+    spp: PathsOfMeters = None,
+    error: opt.Error = None,
+    seed: opt.Seed = 0,
+    variant: opt.Variant = None,
+    define: opt.Define = None,
+    param: opt.Param = None,
+    threads: opt.Threads = None,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Compute daylight coefficients of points: what each patch of the sky contributes, and from weather the daylight of
+    a year.
+
+    Stops at the first of --time, --spp and --error that is reached; without any, after 65536 paths of each meter. The
+    scene needs neither camera nor lamp.
+    """
+    from etendue.engine import Job, Task
+    from etendue.lighting import read_epw
+    from etendue.methods import SkyTracing
+    from etendue.products import Daylight, budget_of, start_job
+    from etendue.scene import SceneSource, locate
+
+    from .running import choose_device, default_name, follow
+
+    meters = _meters(points, grid, cells, "irradiance")
+    settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
+    limits = opt.limits(time, error, spp=spp)
+    console = error_console()
+    found = locate(scene, lambda text: note(console, text))
+    year = None if weather is None else read_epw(weather)
+    suffix = ".mtx" if year is None else ".csv"
+    product = Daylight.of(meters, year, output or [Path(f"{default_name(found)}-daylight{suffix}")])
+    choose_device(variant, threads)
+    source = SceneSource(found, parameters=parameters, meters=meters, lit=False)
+    task = Task(source, SkyTracing, product, settings, seed, budget_of(SkyTracing, limits))
+    with opt.Device(variant, threads, cluster, workers).opened() as opened:
+        outcome = follow(lambda: start_job(lambda: Job.open(task), None, opened), console, "daylight")
+    if outcome.result is not None:
+        note(console, outcome.result.summary())
         say("\n".join(map(str, product.files)))
     return outcome.exit_code
 

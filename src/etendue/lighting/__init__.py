@@ -1,5 +1,6 @@
 """Lighting design and daylight as numbers: photometric files, skies, the sun, weather, units. NumPy only."""
 
+from .daylight import AnnualDaylight as AnnualDaylight, DaylightCoefficients as DaylightCoefficients
 from .errors import LightingError as LightingError
 from .files import read_photometry as read_photometry
 from .meters import QUANTITIES as QUANTITIES, Meters as Meters, Quantity as Quantity

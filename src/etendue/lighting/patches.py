@@ -31,7 +31,8 @@ class SkyPatches:
     least 1.
 
     Attributes: ``count`` of patches with the ground; ``directions`` (count, 3), unit vectors to their centres, x east,
-    y north, z up; ``solid_angles`` (count,) in steradians, 2 pi for the ground.
+    y north, z up; ``solid_angles`` (count,) in steradians, 2 pi for the ground. Rows from the horizon up have the
+    height ``row_height`` in radians, ``in_row`` patches each, and the ``first`` of these; the last row is the cap.
     """
 
     def __init__(self, m: int = 1) -> None:
@@ -40,14 +41,14 @@ class SkyPatches:
         self.m = int(m)
         in_row = np.repeat(_IN_ROW, self.m) * self.m
         #: Height of a row in radians; the cap has half of it as radius.
-        self._height = 0.5 * np.pi / (len(in_row) + 0.5)
-        self._in_row = np.append(in_row, 1)
-        self._first = np.concatenate([[0], np.cumsum(self._in_row)[:-1]]) + 1
-        self.count = 1 + int(self._in_row.sum())
-        row = np.repeat(np.arange(len(self._in_row)), self._in_row)
-        column = np.arange(1, self.count) - self._first[row]
-        low, high = row * self._height, np.minimum((row + 1.0) * self._height, 0.5 * np.pi)
-        width = 2.0 * np.pi / self._in_row[row]
+        self.row_height = 0.5 * np.pi / (len(in_row) + 0.5)
+        self.in_row = np.append(in_row, 1)
+        self.first = np.concatenate([[0], np.cumsum(self.in_row)[:-1]]) + 1
+        self.count = 1 + int(self.in_row.sum())
+        row = np.repeat(np.arange(len(self.in_row)), self.in_row)
+        column = np.arange(1, self.count) - self.first[row]
+        low, high = row * self.row_height, np.minimum((row + 1.0) * self.row_height, 0.5 * np.pi)
+        width = 2.0 * np.pi / self.in_row[row]
         #: (count - 1, 2) limits of altitude, and middle and width of azimuth.
         self._altitude, self._azimuth = np.stack([low, high], -1), np.stack([column * width, width], -1)
         self.solid_angles: Array = np.append(2.0 * np.pi, width * (np.sin(high) - np.sin(low)))
@@ -58,10 +59,10 @@ class SkyPatches:
         """Numbers (k,) of the patches that contain directions (k, 3), of unit length; 0 below the horizon."""
         d = np.asarray(directions, np.float64)
         altitude = np.arcsin(np.clip(d[:, 2], -1.0, 1.0))
-        row = np.clip((altitude / self._height).astype(np.int64), 0, len(self._in_row) - 1)
-        turn = np.arctan2(d[:, 0], d[:, 1]) / (2.0 * np.pi) * self._in_row[row]
-        column = np.floor(turn + 0.5).astype(np.int64) % self._in_row[row]
-        return np.where(altitude > 0.0, self._first[row] + column, 0)
+        row = np.clip((altitude / self.row_height).astype(np.int64), 0, len(self.in_row) - 1)
+        turn = np.arctan2(d[:, 0], d[:, 1]) / (2.0 * np.pi) * self.in_row[row]
+        column = np.floor(turn + 0.5).astype(np.int64) % self.in_row[row]
+        return np.where(altitude > 0.0, self.first[row] + column, 0)
 
     def luminance(self, sky: Sky, sun: bool = True) -> Array:
         """Mean luminance (count,) of a sky in the patches, in cd/m^2, and of the ground.

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         gathered as gathered,
         make_box_tracing as make_box_tracing,
     )
+    from .daylight import SkySettings as SkySettings, SkyTracing as SkyTracing
     from .guided import Guided as Guided
     from .light import LightTracing as LightTracing
     from .metropolis.filmchains import FilmMetropolis as FilmMetropolis

@@ -5,6 +5,11 @@ from typing import TYPE_CHECKING
 from etendue.core import on_use
 
 if TYPE_CHECKING:
+    from .daylight import (
+        Daylight as Daylight,
+        DaylightResult as DaylightResult,
+        check_daylight_file as check_daylight_file,
+    )
     from .files import (
         PathLike as PathLike,
         Writing as Writing,

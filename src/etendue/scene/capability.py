@@ -52,13 +52,13 @@ _NUMBERS = {
 _SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
 
 
-def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
+def check(scene: mi.Scene, sensor: mi.Sensor, lit: bool = True) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
-    Supported are perspective, thin-lens, orthographic and spherical sensors; every shape but curves and ellipsoids,
-    emitting from meshes, rectangles, discs, spheres and cylinders; every RGB emitter; every RGB BSDF; textures.
-    Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices) is a :class:`SceneError`. Raises
-    :class:`BackendError` under a Mitsuba variant that is not supported.
+    ``lit``: whether it needs an emitter. Supported are perspective, thin-lens, orthographic and spherical sensors;
+    every shape but curves and ellipsoids, emitting from meshes, rectangles, discs, spheres and cylinders; every RGB
+    emitter; every RGB BSDF; textures. Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices)
+    is a :class:`SceneError`. Raises :class:`BackendError` under a Mitsuba variant that is not supported.
     """
     check_variant(scene.variant_name())
     _check_sensor(sensor)
@@ -69,7 +69,7 @@ def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
         _check_shape(shape)
     for medium in media_of(scene, sensor):
         _check_medium(medium)
-    if not scene.emitters():
+    if lit and not scene.emitters():
         raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
     for emitter in scene.emitters():
         _check_emitter(emitter)

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
@@ -60,6 +61,7 @@ def load(
     camera: Camera | None = None,
     check: bool = True,
     change: Change | None = None,
+    lit: bool = True,
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
@@ -70,9 +72,9 @@ def load(
     view is kept). A loaded scene is not changed. ``sensor`` is an index into the scene's sensors, ``None`` for any or
     none, where the scene is not looked at through it; ``camera`` moves it, except in loaded scenes. ``parameters``
     gives values to ``$variables`` of an XML file. ``memory`` limits what a method stores, in bytes. The scene's
-    integrator is reported, not built. Without ``check`` unsupported elements raise no error. ``change`` (such as
-    :class:`LightEdits`) changes the parsed scene before its objects are built; equivalent elements and meshes are then
-    not merged.
+    integrator is reported, not built. Without ``check`` unsupported elements raise no error; unless ``lit``, the scene
+    needs no emitter. ``change`` (such as :class:`LightEdits`) changes the parsed scene before its objects are built;
+    equivalent elements and meshes are then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -85,14 +87,14 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = described(source, logger.info)
-        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, change)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, change, lit)
     if parameters:
         raise OptionError(_NO_VARIABLES)
     if change is not None:
         raise OptionError("lights of a loaded scene cannot be added or removed; give its file or its dictionary")
     if camera is not None:
         raise OptionError("the camera of a loaded scene cannot be moved; load the scene with that camera")
-    return _from_scene(source, size, sensor, memory, check)
+    return _from_scene(source, size, sensor, memory, check, lit)
 
 
 def integrator_of(source: Source, parameters: Mapping[str, Any] | None = None) -> str:
@@ -235,6 +237,7 @@ def _from_parser(
     camera: Camera | None,
     check: bool,
     change: Change | None,
+    lit: bool,
 ) -> Problem:
     import mitsuba as mi
 
@@ -275,8 +278,8 @@ def _from_parser(
     if camera is not None:
         check_movable(chosen, name)
     if check:
-        checked(check_scene)
-        if change is None:
+        checked(partial(check_scene, lit=lit))
+        if lit and change is None:
             check_light(scene)
     space = RenderSpace.of(scene, chosen)
     if not space.is_own:
@@ -343,7 +346,9 @@ def _remedy(text: str) -> str:
     return "correct the scene"
 
 
-def _from_scene(scene: mi.Scene, size: Size | None, sensor: int | None, memory: int | None, check: bool) -> Problem:
+def _from_scene(
+    scene: mi.Scene, size: Size | None, sensor: int | None, memory: int | None, check: bool, lit: bool
+) -> Problem:
     import mitsuba as mi
 
     from .immersion import check_media
@@ -357,7 +362,7 @@ def _from_scene(scene: mi.Scene, size: Size | None, sensor: int | None, memory: 
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
         chosen = resized_sensor(chosen, size)
     if check:
-        check_scene(scene, chosen)
+        check_scene(scene, chosen, lit)
         check_media(scene, chosen)
     integrator = scene.integrator()
     name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)

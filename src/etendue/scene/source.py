@@ -37,6 +37,7 @@ class SceneSource:
     camera: Camera | None = None
     merge: bool = True  #: whether meshes may be merged; if not, shapes keep their names and order
     meters: Meters | None = None  #: in place of the sensor
+    lit: bool = True  #: whether the scene needs an emitter
 
     def __post_init__(self) -> None:
         for name, what, least in (
@@ -62,6 +63,7 @@ class SceneSource:
             memory=self.memory,
             camera=self.camera,
             change=None if self.merge or not is_described(scene) else unmerged,
+            lit=self.lit,
         )
         return problem if self.meters is None else with_meters(problem, self.meters)
 
@@ -106,7 +108,7 @@ class SceneSource:
         if not self.merge:
             values["merge"] = False
         if self.meters is not None:
-            values["meters"] = self.meters.to_dict()
+            values |= {"meters": self.meters.to_dict(), "lit": self.lit}
         return Ingredients(f"{__name__}:open_scene", values, scene.arrays, scene.files)
 
     def part_ingredients(self, shapes: Collection[str]) -> Ingredients:
@@ -155,5 +157,6 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
         memory=values["memory"],
         camera=None if camera is None else Camera(**camera),
         change=None if values.get("merge", True) else unmerged,
+        lit=values.get("lit", True),
     )
     return problem if meters is None else with_meters(problem, Meters(**meters))

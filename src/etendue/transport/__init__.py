@@ -139,6 +139,7 @@ if TYPE_CHECKING:
         UniformLights as UniformLights,
     )
     from .schemes.strata import EMISSION as EMISSION, FIRST_BOUNCE as FIRST_BOUNCE, StratifiedSource as StratifiedSource
+    from .skyviews import SkyViews as SkyViews
     from .surrounding import Surroundings as Surroundings, surroundings as surroundings
     from .vertex import Vertex as Vertex, WalkVertex as WalkVertex
     from .visibility import Visibility as Visibility
