@@ -114,6 +114,13 @@ def test_perez_integrates_to_its_illuminance(weather, altitude):
     assert 90.0 < efficacy < 170.0  # lm/W: the range of [Perez 1990, fig. 8]
 
 
+def test_sun_without_sky():
+    """Some files have hours with direct and without diffuse light: the sun shines from a black sky."""
+    sky = perez_sky(SUN, 100.0, 0.0)
+    assert sky.zenith_luminance == 0.0 and sky.illuminance == pytest.approx(sky.sun_illuminance * SUN[2])
+    assert 80.0 < sky.sun_illuminance / 100.0 < 110.0
+
+
 def test_bad_skies():
     for message, make in {
         "choose 1 to 15": lambda: cie_sky(17, SUN, zenith_luminance=1.0),
@@ -125,7 +132,7 @@ def test_bad_skies():
         "below the horizon": lambda: perez_sky([0.0, 1.0, -0.1], 100.0, 100.0),
         "three numbers": lambda: perez_sky([0.0, 1.0], 100.0, 100.0),
         "direct irradiance of a sky is nan": lambda: perez_sky(SUN, np.nan, 100.0),
-        "diffuse irradiance of a Perez sky is 0": lambda: perez_sky(SUN, 100.0, 0.0),
+        "neither direct nor diffuse": lambda: perez_sky(SUN, 0.0, 0.0),
         "reflectance of the ground": lambda: perez_sky(SUN, 100.0, 100.0, ground=1.2),
         "dew point": lambda: perez_sky(SUN, 100.0, 100.0, dew_point=99.9),
     }.items():

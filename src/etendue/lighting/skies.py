@@ -12,7 +12,7 @@ traditional overcast sky, else 0. Directions are (x east, y north, z up).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -168,8 +168,12 @@ def cie_sky(
     return Sky(gradation, indicatrix, scale, towards, direct, _checked_ground(ground))
 
 
+_legendre = cache(np.polynomial.legendre.leggauss)
+
+
 def _gauss(count: int, low: float, high: float) -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(count)
+    """Points and weights of Gauss's rule on an interval."""
+    x, weight = _legendre(count)
     return low + 0.5 * (high - low) * (x + 1.0), 0.5 * (high - low) * weight
 
 
@@ -268,13 +272,14 @@ def perez_sky(
     """
     towards = _checked_sun(sun)
     direct, diffuse = _positive("direct irradiance", direct_normal), _positive("diffuse irradiance", diffuse_horizontal)
-    if diffuse == 0.0:
-        raise LightingError("the diffuse irradiance of a Perez sky is 0; give a number above 0")
+    if diffuse + direct == 0.0:
+        raise LightingError("a Perez sky has neither direct nor diffuse irradiance; give one above 0")
     if not -90.0 < dew_point < 90.0:
         raise LightingError(f"the dew point is {dew_point} degrees C; give a number from -90 to 90")
     z = float(np.arccos(min(towards[2], 1.0)))
     cubed = 1.041 * z**3
-    clearness = float(np.clip(((diffuse + direct) / diffuse + cubed) / (1.0 + cubed), *_CLEAR))  # [Perez 1990, eq. 1]
+    ratio = (diffuse + direct) / diffuse if diffuse > 0.0 else np.inf
+    clearness = float(np.clip((ratio + cubed) / (1.0 + cubed), *_CLEAR))  # [Perez 1990, eq. 1]
     air_mass = 1.0 / (np.cos(z) + 0.15 * (93.885 - np.degrees(z)) ** -1.253)  # [Kasten 1966]
     extraterrestrial = _SOLAR_CONSTANT * (1.0 if day is None else _eccentricity(day))
     brightness = float(np.clip(diffuse * air_mass / extraterrestrial, *_BRIGHT))  # [Perez 1990, eq. 2]
