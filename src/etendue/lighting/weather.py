@@ -81,7 +81,7 @@ class Weather:
         x, y, z = sun_direction(self.latitude, self.longitude, time)[0].tolist()
         if z < np.sin(np.deg2rad(_LOWEST)):
             raise LightingError(
-                f"{when} has {direct + diffuse:g} W/m^2, but the sun is {-np.degrees(np.arcsin(z)):.0f} degrees below the "
+                f"{when} has {direct + diffuse:g} W/m^2 with the sun {-np.degrees(np.arcsin(z)):.0f} degrees below the "
                 "horizon; correct longitude and time zone of the EPW file"
             )
         dew_point = self.dew_point[hour]
