@@ -54,8 +54,8 @@ def test_traditional_overcast_sky():
 
 @pytest.mark.parametrize(("kind", "f"), [(12, (0.91, 10.0, 0.45)), (13, (0.856, 16.0, 0.3))])
 def test_clear_skies_of_earlier_standards(kind, f):
-    """The clear and the turbid sky of CIE 22 (1973), whose constants are rounded to three digits, at the zenith and
-    elsewhere: (1 - exp(-.32 / cos Z)) (f0 + f1 exp(-3 chi) + f2 cos^2 chi)."""
+    """The clear sky of CIE 22 (1973) after Kittler, and the turbid one after Gusev, with constants of two or three
+    digits: (1 - exp(-.32 / cos Z)) (f0 + f1 exp(-3 chi) + f2 cos^2 chi)."""
     directions, _ = grid(20, 30)
     chi = np.arccos(directions @ SUN)
 
@@ -119,6 +119,16 @@ def test_sun_without_sky():
     sky = perez_sky(SUN, 100.0, 0.0)
     assert sky.zenith_luminance == 0.0 and sky.illuminance == pytest.approx(sky.sun_illuminance * SUN[2])
     assert 80.0 < sky.sun_illuminance / 100.0 < 110.0
+
+
+def test_sky_that_the_model_makes_negative():
+    """A dim sky below a sun at the zenith, far from all measurements: uniform, with the right illuminance."""
+    sky = perez_sky([0.0, 0.0, 1.0], 30.0, 10.0)
+    directions, weights = grid(100, 100)
+    luminance = sky.luminance(directions)
+    np.testing.assert_allclose(luminance, luminance[0])
+    assert (luminance * weights).sum() == pytest.approx(sky.diffuse_illuminance, rel=1e-4)
+    assert sky.diffuse_illuminance > 500.0
 
 
 def test_bad_skies():

@@ -251,6 +251,7 @@ _DIRECT = (
 _SOLAR_CONSTANT = 1367.0  #: W/m^2
 #: Ranges of clearness and brightness outside which the tables are not used, as in Radiance's programs.
 _CLEAR, _BRIGHT = (1.0, 11.9), (0.01, 0.6)
+_UNIFORM = (0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 0.0)
 
 
 def perez_sky(
@@ -267,8 +268,8 @@ def perez_sky(
     ``sun``: vector towards the sun (x east, y north, z up). ``direct_normal``: irradiance of the sun normal to its
     rays; ``diffuse_horizontal``: irradiance of the sky on the horizontal. ``day`` of the year, from 1, for the distance
     of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez 1990].
-    The sky is normalised to the diffuse illuminance; clearness and brightness are limited as in Radiance's
-    ``gendaymtx``. Raises :class:`LightingError` for values that are out of range.
+    The sky is normalised to the diffuse illuminance; clearness and brightness are limited, and a sky that would be
+    negative everywhere is uniform, as in Radiance's ``gendaymtx``. Raises :class:`LightingError` for values that are out of range.
     """
     towards = _checked_sun(sun)
     direct, diffuse = _positive("direct irradiance", direct_normal), _positive("diffuse irradiance", diffuse_horizontal)
@@ -292,6 +293,9 @@ def perez_sky(
     efficacy = max(a + b * water + c * np.exp(5.73 * z - 5.0) + d * brightness, 0.0)  # [Perez 1990, eq. 8]
     gradation, indicatrix = _distribution(row, z, brightness)
     unit = Sky(gradation, indicatrix, 1.0, towards)
+    if unit._relative_illuminance <= 0.0:  # nowhere positive, in weather that was not measured
+        gradation, indicatrix = _UNIFORM
+        unit = Sky(gradation, indicatrix, 1.0, towards)
     scale = float(lux) / unit._relative_illuminance
     return Sky(gradation, indicatrix, scale, towards, float(direct * efficacy), _checked_ground(ground))
 
