@@ -269,7 +269,8 @@ def perez_sky(
     rays; ``diffuse_horizontal``: irradiance of the sky on the horizontal. ``day`` of the year, from 1, for the distance
     of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez 1990].
     The sky is normalised to the diffuse illuminance; clearness and brightness are limited, and a sky that would be
-    negative everywhere is uniform, as in Radiance's ``gendaymtx``. Raises :class:`LightingError` for values that are out of range.
+    negative everywhere is uniform, as in Radiance's ``gendaymtx``. Raises :class:`LightingError` for
+    values that are out of range.
     """
     towards = _checked_sun(sun)
     direct, diffuse = _positive("direct irradiance", direct_normal), _positive("diffuse irradiance", diffuse_horizontal)
