@@ -54,8 +54,8 @@ def test_traditional_overcast_sky():
 
 @pytest.mark.parametrize(("kind", "f"), [(12, (0.91, 10.0, 0.45)), (13, (0.856, 16.0, 0.3))])
 def test_clear_skies_of_earlier_standards(kind, f):
-    """The clear and the turbid sky of CIE 22 (1973), whose constants are rounded to three digits, at the zenith and
-    elsewhere: (1 - exp(-.32 / cos Z)) (f0 + f1 exp(-3 chi) + f2 cos^2 chi)."""
+    """The clear sky of CIE 22 (1973) after Kittler, and the turbid one after Gusev, with constants of two or three
+    digits: (1 - exp(-.32 / cos Z)) (f0 + f1 exp(-3 chi) + f2 cos^2 chi)."""
     directions, _ = grid(20, 30)
     chi = np.arccos(directions @ SUN)
 
@@ -114,6 +114,23 @@ def test_perez_integrates_to_its_illuminance(weather, altitude):
     assert 90.0 < efficacy < 170.0  # lm/W: the range of [Perez 1990, fig. 8]
 
 
+def test_sun_without_sky():
+    """Some files have hours with direct and without diffuse light: the sun shines from a black sky."""
+    sky = perez_sky(SUN, 100.0, 0.0)
+    assert sky.zenith_luminance == 0.0 and sky.illuminance == pytest.approx(sky.sun_illuminance * SUN[2])
+    assert 80.0 < sky.sun_illuminance / 100.0 < 110.0
+
+
+def test_sky_that_the_model_makes_negative():
+    """A dim sky below a sun at the zenith, far from all measurements: uniform, with the right illuminance."""
+    sky = perez_sky([0.0, 0.0, 1.0], 30.0, 10.0)
+    directions, weights = grid(100, 100)
+    luminance = sky.luminance(directions)
+    np.testing.assert_allclose(luminance, luminance[0])
+    assert (luminance * weights).sum() == pytest.approx(sky.diffuse_illuminance, rel=1e-4)
+    assert sky.diffuse_illuminance > 500.0
+
+
 def test_bad_skies():
     for message, make in {
         "choose 1 to 15": lambda: cie_sky(17, SUN, zenith_luminance=1.0),
@@ -125,7 +142,7 @@ def test_bad_skies():
         "below the horizon": lambda: perez_sky([0.0, 1.0, -0.1], 100.0, 100.0),
         "three numbers": lambda: perez_sky([0.0, 1.0], 100.0, 100.0),
         "direct irradiance of a sky is nan": lambda: perez_sky(SUN, np.nan, 100.0),
-        "diffuse irradiance of a Perez sky is 0": lambda: perez_sky(SUN, 100.0, 0.0),
+        "neither direct nor diffuse": lambda: perez_sky(SUN, 0.0, 0.0),
         "reflectance of the ground": lambda: perez_sky(SUN, 100.0, 100.0, ground=1.2),
         "dew point": lambda: perez_sky(SUN, 100.0, 100.0, dew_point=99.9),
     }.items():

@@ -12,7 +12,7 @@ from .skies import (
     cie_sky as cie_sky,
     perez_sky as perez_sky,
 )
-from .sun import sun_direction as sun_direction, universal as universal
+from .sun import day_of_year as day_of_year, sun_direction as sun_direction
 from .units import EFFICACY as EFFICACY
 from .weather import Weather as Weather, read_epw as read_epw
 from .web import PhotometricWeb as PhotometricWeb

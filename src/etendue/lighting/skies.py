@@ -12,7 +12,7 @@ traditional overcast sky, else 0. Directions are (x east, y north, z up).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -168,8 +168,12 @@ def cie_sky(
     return Sky(gradation, indicatrix, scale, towards, direct, _checked_ground(ground))
 
 
+_legendre = cache(np.polynomial.legendre.leggauss)
+
+
 def _gauss(count: int, low: float, high: float) -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(count)
+    """Points and weights of Gauss's rule on an interval."""
+    x, weight = _legendre(count)
     return low + 0.5 * (high - low) * (x + 1.0), 0.5 * (high - low) * weight
 
 
@@ -247,6 +251,7 @@ _DIRECT = (
 _SOLAR_CONSTANT = 1367.0  #: W/m^2
 #: Ranges of clearness and brightness outside which the tables are not used, as in Radiance's programs.
 _CLEAR, _BRIGHT = (1.0, 11.9), (0.01, 0.6)
+_UNIFORM = (0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 0.0)
 
 
 def perez_sky(
@@ -263,18 +268,20 @@ def perez_sky(
     ``sun``: vector towards the sun (x east, y north, z up). ``direct_normal``: irradiance of the sun normal to its
     rays; ``diffuse_horizontal``: irradiance of the sky on the horizontal. ``day`` of the year, from 1, for the distance
     of the sun; without, the mean distance. ``dew_point`` in degrees C, for the luminous efficacies [Perez 1990].
-    The sky is normalised to the diffuse illuminance; clearness and brightness are limited as in Radiance's
-    ``gendaymtx``. Raises :class:`LightingError` for values that are out of range.
+    The sky is normalised to the diffuse illuminance; clearness and brightness are limited, and a sky that would be
+    negative everywhere is uniform, as in Radiance's ``gendaymtx``. Raises :class:`LightingError` for
+    values that are out of range.
     """
     towards = _checked_sun(sun)
     direct, diffuse = _positive("direct irradiance", direct_normal), _positive("diffuse irradiance", diffuse_horizontal)
-    if diffuse == 0.0:
-        raise LightingError("the diffuse irradiance of a Perez sky is 0; give a number above 0")
+    if diffuse + direct == 0.0:
+        raise LightingError("a Perez sky has neither direct nor diffuse irradiance; give one above 0")
     if not -90.0 < dew_point < 90.0:
         raise LightingError(f"the dew point is {dew_point} degrees C; give a number from -90 to 90")
     z = float(np.arccos(min(towards[2], 1.0)))
     cubed = 1.041 * z**3
-    clearness = float(np.clip(((diffuse + direct) / diffuse + cubed) / (1.0 + cubed), *_CLEAR))  # [Perez 1990, eq. 1]
+    ratio = (diffuse + direct) / diffuse if diffuse > 0.0 else np.inf
+    clearness = float(np.clip((ratio + cubed) / (1.0 + cubed), *_CLEAR))  # [Perez 1990, eq. 1]
     air_mass = 1.0 / (np.cos(z) + 0.15 * (93.885 - np.degrees(z)) ** -1.253)  # [Kasten 1966]
     extraterrestrial = _SOLAR_CONSTANT * (1.0 if day is None else _eccentricity(day))
     brightness = float(np.clip(diffuse * air_mass / extraterrestrial, *_BRIGHT))  # [Perez 1990, eq. 2]
@@ -287,6 +294,9 @@ def perez_sky(
     efficacy = max(a + b * water + c * np.exp(5.73 * z - 5.0) + d * brightness, 0.0)  # [Perez 1990, eq. 8]
     gradation, indicatrix = _distribution(row, z, brightness)
     unit = Sky(gradation, indicatrix, 1.0, towards)
+    if unit._relative_illuminance <= 0.0:  # nowhere positive, in weather that was not measured
+        gradation, indicatrix = _UNIFORM
+        unit = Sky(gradation, indicatrix, 1.0, towards)
     scale = float(lux) / unit._relative_illuminance
     return Sky(gradation, indicatrix, scale, towards, float(direct * efficacy), _checked_ground(ground))
 

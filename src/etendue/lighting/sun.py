@@ -38,7 +38,7 @@ def sun_direction(latitude: float, longitude: float, times: Times) -> Array:
         raise LightingError(
             f"there is no place at latitude {latitude}, longitude {longitude}; give degrees north and degrees east"
         )
-    moments = universal(times)
+    moments = _universal(times)
     years = moments.astype("datetime64[Y]").astype(int) + 1970
     if ((years < _YEARS[0]) | (years > _YEARS[1])).any():
         raise LightingError(f"the sun's position is known from {_YEARS[0]} to {_YEARS[1]}; give a time of these years")
@@ -67,7 +67,15 @@ def sun_direction(latitude: float, longitude: float, times: Times) -> Array:
     return towards
 
 
-def universal(times: Times) -> NDArray[np.datetime64]:
+def day_of_year(times: Times) -> Array:
+    """Days (n,) from the beginning of the year in universal time, 1 on 1 January; for :func:`perez_sky`. Errors as
+    :func:`sun_direction`."""
+    moments = _universal(times)
+    days: Array = 1.0 + (moments - moments.astype("datetime64[Y]")) / np.timedelta64(1, "D")
+    return days
+
+
+def _universal(times: Times) -> NDArray[np.datetime64]:
     """Times as ``datetime64`` (n,) in universal time, to the millisecond. Raises :class:`LightingError`."""
     if isinstance(times, (np.ndarray, np.datetime64)):
         found = np.atleast_1d(np.asarray(times))
@@ -75,10 +83,10 @@ def universal(times: Times) -> NDArray[np.datetime64]:
             raise LightingError("times in an array are datetime64 in universal time; give such an array, or datetimes")
         return found.astype("datetime64[ms]")
     listed = [times] if isinstance(times, (datetime, str)) else list(times)
-    return np.array([_universal(time) for time in listed], "datetime64[ms]")
+    return np.array([_moment(time) for time in listed], "datetime64[ms]")
 
 
-def _universal(time: datetime | str) -> np.datetime64:
+def _moment(time: datetime | str) -> np.datetime64:
     try:
         moment = datetime.fromisoformat(time) if isinstance(time, str) else time
     except ValueError:

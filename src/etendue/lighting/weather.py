@@ -18,7 +18,7 @@ from etendue.core import Array
 
 from .errors import LightingError
 from .skies import GROUND, Sky, perez_sky
-from .sun import sun_direction
+from .sun import day_of_year, sun_direction
 
 #: Columns that are read, and the value from which on they are missing (EnergyPlus, Auxiliary Programs).
 _COLUMNS = {
@@ -75,19 +75,18 @@ class Weather:
         when = f"hour {hour} of {self.place} ({self._local(hour)})"
         if np.isnan(direct) or np.isnan(diffuse):
             raise LightingError(f"{when} has no direct or diffuse irradiance; fill the gap in the EPW file")
-        if diffuse == 0.0:
+        if direct + diffuse == 0.0:
             return None
         time = self.times[hour : hour + 1]
         x, y, z = sun_direction(self.latitude, self.longitude, time)[0].tolist()
         if z < np.sin(np.deg2rad(_LOWEST)):
             raise LightingError(
-                f"{when} has {diffuse:g} W/m^2, but the sun is {-np.degrees(np.arcsin(z)):.0f} degrees below the "
+                f"{when} has {direct + diffuse:g} W/m^2 with the sun {-np.degrees(np.arcsin(z)):.0f} degrees below the "
                 "horizon; correct longitude and time zone of the EPW file"
             )
-        day = (time[0] - time[0].astype("datetime64[Y]")) / np.timedelta64(1, "D") + 1.0
         dew_point = self.dew_point[hour]
         moist = {} if np.isnan(dew_point) else {"dew_point": float(dew_point)}
-        return perez_sky((x, y, max(z, 0.0)), direct, diffuse, day=float(day), ground=ground, **moist)
+        return perez_sky((x, y, max(z, 0.0)), direct, diffuse, day=float(day_of_year(time)[0]), ground=ground, **moist)
 
     def _local(self, hour: int) -> str:
         shift = np.timedelta64(round(self.time_zone * 60.0), "m")

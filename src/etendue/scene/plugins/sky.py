@@ -26,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import OptionError, is_number
-from etendue.lighting import EFFICACY, GROUND, SUN_DIAMETER, Sky, cie_sky, perez_sky, sun_direction, universal
+from etendue.lighting import EFFICACY, GROUND, SUN_DIAMETER, Sky, cie_sky, day_of_year, perez_sky, sun_direction
 
 from ..packet import is_spectral
 from .parameters import block
@@ -98,10 +98,9 @@ def _sun(given: dict[str, Any]) -> tuple[list[float] | None, float | None]:
         return None, None
     if len(place) < 3:
         raise OptionError(f"'sky' has '{place[0]}'; give 'latitude', 'longitude' and 'time' together")
-    time = universal(str(given.pop("time")))
+    time = str(given.pop("time"))
     towards = sun_direction(_number(given, "latitude"), _number(given, "longitude"), time)[0].tolist()
-    day = (time[0] - time[0].astype("datetime64[Y]")) / np.timedelta64(1, "D")
-    return towards, 1.0 + float(day)
+    return towards, float(day_of_year(time)[0])
 
 
 def make_sky() -> type:
