@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.run_files import SCENE, example
+from support.weather import written, year
 
 import etendue
 from etendue import display, methods
@@ -138,6 +139,7 @@ def folder(tmp_path_factory, variant):
     for copy in ("reference.exr", "picture.exr", "mitsuba.exr"):
         shutil.copy(path / "converged.exr", path / copy)
     (path / "desks.csv").write_text("0 0 0.5 0 0 1\n")
+    written(path, year()).rename(path / "bern.epw")
     (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
