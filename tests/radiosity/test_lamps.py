@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.luminaires import ies
 
 import etendue
 from etendue.core import OptionError, SceneError, UnsupportedError
@@ -103,6 +104,20 @@ def test_an_environment_is_a_sky():
     error = np.hypot(lamp.irradiance_error, sky.irradiance_error)
     z = (lamp.solution.irradiance - sky.solution.irradiance)[:, 0] / np.maximum(error[:, 0], 1e-6)
     assert np.mean(z**2) < 1.5 and np.abs(z).max() < 6
+
+
+def test_a_luminaire_and_a_sky_of_the_profession(tmp_path):
+    path = tmp_path / "lamp.ies"
+    path.write_text(ies(lambda c, gamma: np.full(c.shape, 100.0)))
+    lamp = {"type": "luminaire", "filename": str(path), "to_world": place().translate([0, 0, 2])}
+    patches, light = direct(floor(lamp=lamp))
+    square = (patches.centres**2).sum(axis=1) + 4.0
+    lux = 683.0 * light.irradiance @ [0.2126, 0.7152, 0.0722]
+    assert np.allclose(lux, 100.0 * 2.0 / square**1.5, rtol=0.02)  # the middle stands for the patch
+    sky = {"type": "sky", "kind": 1, "diffuse_illuminance": 10_000.0}
+    patches, light = direct(floor(sky=sky), max_area=16.0)
+    lux = 683.0 * light.irradiance @ [0.2126, 0.7152, 0.0722]
+    assert np.allclose(lux, 10_000.0, rtol=2e-3)
 
 
 def test_workers_have_the_light():

@@ -30,6 +30,14 @@ def _of_the_sky() -> dict[str, Any]:
     return {"daylight": SkySettings}
 
 
+def _cells(text: str) -> opt.Size:
+    """The meters of a grid along its edges. Raises :class:`OptionError`."""
+    found = re.fullmatch(r"\s*(\d+)\s*[x,]\s*(\d+)\s*", str(text).lower())
+    if found is None or "0" in found.groups():
+        raise OptionError(f"--cells needs the meters along both edges, as 40x30, not '{text}'")
+    return opt.Size(int(found[1]), int(found[2]))
+
+
 #: The commands with the settings of the methods that measure, and of daylight.
 MeasureCommand = with_settings(_methods, "path")
 DaylightCommand = with_settings(_of_the_sky, "daylight")
@@ -54,7 +62,7 @@ Grid = Annotated[
 ]
 Cells = Annotated[
     opt.Size | None,
-    typer.Option("--cells", help="Meters of the grid along its edges.", parser=opt.parse_size, metavar="NxM"),
+    typer.Option("--cells", help="Meters of the grid along its edges.", parser=_cells, metavar="NxM"),
 ]
 PathsOfMeters = Annotated[int | None, typer.Option("--spp", help="Stop at so many paths of each meter.", metavar="N")]
 

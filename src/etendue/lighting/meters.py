@@ -63,7 +63,7 @@ class Meters:
             raise LightingError(f"there are {len(points)} meters, but {len(self.names)} names")
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "directions", directions / length)
+        object.__setattr__(self, "directions", directions / length + 0.0)  # no -0 in tables
 
     def __len__(self) -> int:
         return len(self.points)
