@@ -108,7 +108,7 @@ def test_tables(tmp_path):
 
 def test_bad_meters(tmp_path, caplog):
     scene = floor(lamp=point([0, 0, 2]))
-    with pytest.raises(UnsupportedError, match="'vcm' does not measure"):
+    with pytest.raises(UnsupportedError, match="'vcm' measures nothing"):
         etendue.measure(scene, [[0, 0, 0]], method="vcm", spp=1)
     with pytest.raises(OptionError, match="written as"):
         etendue.measure(scene, [[0, 0, 0]], spp=1, save=tmp_path / "a.exr")
@@ -141,3 +141,27 @@ def test_workers_measure_the_same():
         etendue.measure(scene, [[0, 0, 0], [0, 0, 0.5]], UP, spp=512, samples_per_pass=64, workers=n) for n in (None, 1)
     )
     assert np.allclose(here.values, there.values, rtol=1e-5)
+
+
+def test_sensors_of_mitsuba():
+    # An irradiance meter on a square sees a point lamp, and reads the mean of meters on it; its own material is black.
+    lamp = point([0.3, 0.2, 1.5], [1.0, 2.0, 3.0])
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    place = mi.ScalarTransform4f().translate([0, 0, 0.5])
+    square = {"type": "rectangle", "to_world": place, "bsdf": grey(0.0)}
+    meter = {"type": "irradiancemeter", "film": film}
+    scene = floor(lamp=lamp, square=square | {"meter": meter})
+    grid = Meters.grid((-1, -1, 0.5), (2, 0, 0), (0, 2, 0), (20, 20))
+    by_grid = etendue.measure(floor(lamp=lamp, square=square), grid, spp=64).values.mean(axis=0)
+    for method in ("path", "bpt"):
+        read = etendue.render(scene, method, spp=4096).image[0, 0]
+        assert read == pytest.approx(by_grid, rel=5e-3), method
+    # A radiance meter, and a distant one, of a floor of reflectance 1/2 under a uniform sky.
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": 2.0}}
+    ray = {"type": "radiancemeter", "origin": [0.1, 0.2, 1], "direction": [0, 0.1, -1], "film": film}
+    away = {"type": "distant", "direction": [0, 0, -1], "target": [0, 0, 0], "film": film}
+    for sensor in (ray, away):
+        read = etendue.render(floor(lamp=sky, sensor=sensor), "path", spp=1024).image[0, 0]
+        assert read == pytest.approx([1.0] * 3, rel=5e-3), sensor["type"]
+        with pytest.raises(UnsupportedError, match="use path, guided or bpt"):
+            etendue.render(floor(lamp=sky, sensor=sensor), "vcm", spp=1)

@@ -112,12 +112,7 @@ REFUSED = {
     ),
     "exterior": ({"fog": ball(DIFFUSE, exterior=FLAKES)}, "medium.*of type 'homogeneous'"),
     "foggy camera": ({"camera": {"type": "perspective", "medium": FLAKES}}, "medium.*of type 'homogeneous'"),
-    "distant": ({"camera": {"type": "distant", "film": PIXEL}}, "'distant'"),
-    "radiance meter": ({"camera": {"type": "radiancemeter", "film": PIXEL}}, "'radiancemeter'"),
-    "irradiance meter": (
-        {"camera": {"type": "rectangle", "meter": {"type": "irradiancemeter", "film": PIXEL}}},
-        "'meter' of type 'irradiancemeter'",
-    ),
+    "batch": ({"camera": {"type": "batch", "a": {"type": "perspective"}, "film": PIXEL}}, "'batch'"),
     "fog in a shape group": ({"group": GROUP_OF_FOGGY}, "medium.*of type 'homogeneous'"),
 }
 

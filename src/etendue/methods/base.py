@@ -234,8 +234,10 @@ class ImageMethod(Method):
             raise OptionError(
                 f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
             )
-        if graph.plugin_name(problem.sensor) == "meters" and not self.measures:
-            raise UnsupportedError(f"method '{self.name}' does not measure at points; use path, guided or bpt")
+        if graph.plugin_name(problem.sensor) in ("meters", "distant") and not self.measures:
+            raise UnsupportedError(
+                f"method '{self.name}' measures nothing at points or in one direction; use path, guided or bpt"
+            )
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
         self.packet = Packet()

@@ -19,7 +19,7 @@ from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
 from .media import is_constant, media_of, values_of, volume_of
 from .packet import DISPERSES, is_spectral
-from .space import SENSORS
+from .space import METERS, SENSORS
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -49,7 +49,7 @@ _NUMBERS = {
     *("sheen_tint", "spec_tint", "flatness", "spec_trans", "diff_trans", "opacity", "weight"),
 }
 
-_SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
+_SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor, or a meter"
 
 
 def check(scene: mi.Scene, sensor: mi.Sensor, lit: bool = True) -> None:
@@ -89,7 +89,7 @@ def check_light(scene: mi.Scene) -> None:
 
 def _check_sensor(sensor: mi.Sensor) -> None:
     name = describe(sensor, "sensor")
-    if plugin_name(sensor) not in SENSORS:
+    if plugin_name(sensor) not in (*SENSORS, *METERS):
         raise UnsupportedError(f"{name} is not supported; {_SENSOR_REMEDY}")
     film = sensor.film()
     if plugin_name(film) != "hdrfilm":

@@ -11,7 +11,8 @@ import hashlib
 import re
 from typing import TYPE_CHECKING, Any
 
-from .graph import as_array, contents, shapes
+from .graph import as_array, contents, plugin_name, shapes
+from .space import METERS
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -74,6 +75,8 @@ def _digest(item: mi.Object, digests: dict[mi.Object, bytes]) -> bytes:
 def _sensor_digest(sensor: mi.Sensor) -> bytes:
     film = sensor.film()
     parts = [str(sensor.class_name()).encode(), _description(film.rfilter()), bytes([film.sample_border()])]
+    if plugin_name(sensor) in METERS:  # which do not report their place
+        parts.append(_description(sensor))
     for item in (sensor, film):
         for name, value in contents(item).values:
             parts += [name.encode(), _bytes(value)]

@@ -242,6 +242,7 @@ def _from_parser(
     import mitsuba as mi
 
     from .immersion import check_media
+    from .meters import with_own_meter
 
     with _resolving(folders), _mitsuba_errors(name):
         if change is not None:
@@ -297,7 +298,8 @@ def _from_parser(
             named = instantiated(config, unmerged)  # for the names of merged meshes
         found = lamps_in_surfaces(named)
     remarks = remarks_on(found)
-    return _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space, remarks)
+    made = _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space, remarks)
+    return with_own_meter(made)
 
 
 @contextmanager
@@ -352,6 +354,7 @@ def _from_scene(
     import mitsuba as mi
 
     from .immersion import check_media
+    from .meters import with_own_meter
 
     if scene.variant_name() != mi.variant():
         raise SceneError(
@@ -367,7 +370,7 @@ def _from_scene(
     integrator = scene.integrator()
     name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)
     remarks = remarks_on(lamps_in_surfaces(scene)) if check else ()
-    return _problem(scene, chosen, name, depth, options, "<scene>", memory, "", check, remarks=remarks)
+    return with_own_meter(_problem(scene, chosen, name, depth, options, "<scene>", memory, "", check, remarks=remarks))
 
 
 def _sensor(scene: mi.Scene, index: int | None, name: str) -> mi.Sensor:

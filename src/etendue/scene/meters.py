@@ -14,8 +14,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SceneError, copied_to_device
+from etendue.core import Array, SceneError, UnsupportedError, copied_to_device
 
+from .graph import describe, plugin_name
 from .immersion import medium_at
 from .media import media_of
 from .problem import Problem
@@ -26,6 +27,31 @@ if TYPE_CHECKING:
 
 #: Directions around a meter in which backs of surfaces are looked for, and most meters that a message names.
 _AROUND, _NAMED = 64, 3
+
+
+def with_own_meter(problem: Problem) -> Problem:
+    """The same problem; Mitsuba's ``radiancemeter`` and ``irradiancemeter`` are replaced by meters, which sample lamps
+    as a surface does. Raises :class:`UnsupportedError` for a ``distant`` sensor of a scene that is rendered in other
+    coordinates."""
+    from etendue.lighting import Meters
+
+    sensor = problem.sensor
+    kind = plugin_name(sensor)
+    if kind == "distant" and not problem.space.is_own:
+        raise UnsupportedError(
+            f"{describe(sensor, 'sensor')} looks at a scene that is far from the origin or small, which is not "
+            "supported; move the scene near the origin and scale it to a size of 1 to 100"
+        )
+    if kind == "radiancemeter":
+        to_world = np.asarray(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+        return with_meters(problem, Meters(to_world[None, :3, 3], to_world[None, :3, 2], "radiance"))
+    if kind == "irradiancemeter":
+        width, height = problem.size
+        film = _film(width, height)
+        own = mi.load_dict({"type": "meters", "irradiance": True, "sampler": sensor.sampler(), "film": film})
+        own.shape = sensor.get_shape()
+        return replace(problem, sensor=own)
+    return problem
 
 
 def with_meters(problem: Problem, meters: Meters) -> Problem:
@@ -40,9 +66,13 @@ def with_meters(problem: Problem, meters: Meters) -> Problem:
         mi.TensorXf(np.ascontiguousarray(v, np.float32))
         for v in (points, -meters.directions if measures_irradiance else meters.directions)
     )
-    film = {"type": "hdrfilm", "width": len(meters), "height": 1, "filter": {"type": "box"}}
     plugin = {"type": "meters", "origins": origins, "directions": directions, "irradiance": measures_irradiance}
-    return replace(problem, sensor=mi.load_dict(plugin | {"film": film}), size=(len(meters), 1))
+    sensor = mi.load_dict(plugin | {"film": _film(len(meters), 1)})
+    return replace(problem, sensor=sensor, size=(len(meters), 1))
+
+
+def _film(width: int, height: int) -> dict[str, Any]:
+    return {"type": "hdrfilm", "width": width, "height": height, "filter": {"type": "box"}}
 
 
 def _check_places(scene: mi.Scene, points: Array, meters: Meters) -> None:

@@ -15,7 +15,6 @@ from .builtin.table import BundledScene, bundled_scene
 from .camera import Camera
 from .editing import is_described
 from .loading import checked_size, load, locate
-from .meters import with_meters
 from .parts import load_part, part_files, unmerged
 from .portables import PortableScene, portable, restored
 from .problem import Problem
@@ -65,7 +64,7 @@ class SceneSource:
             change=None if self.merge or not is_described(scene) else unmerged,
             lit=self.lit,
         )
-        return problem if self.meters is None else with_meters(problem, self.meters)
+        return problem if self.meters is None else _measured(problem, self.meters)
 
     def place(self) -> dict[str, Any]:
         """Plain values for :meth:`at`. The scene is ``source``, a file, or ``bundled``, a name; neither if it is in
@@ -159,4 +158,10 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
         change=None if values.get("merge", True) else unmerged,
         lit=values.get("lit", True),
     )
-    return problem if meters is None else with_meters(problem, Meters(**meters))
+    return problem if meters is None else _measured(problem, Meters(**meters))
+
+
+def _measured(problem: Problem, meters: Meters) -> Problem:
+    from .meters import with_meters  # which needs a variant
+
+    return with_meters(problem, meters)

@@ -34,6 +34,8 @@ _STEP = 2.0**-24
 
 #: Sensors that are supported: they see points in space, and can be moved.
 SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
+#: Mitsuba's sensors that measure: along a ray, on a shape, and what leaves the scene in a direction.
+METERS = ("radiancemeter", "irradiancemeter", "distant")
 
 Point = tuple[float, float, float]
 

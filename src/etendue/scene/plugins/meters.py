@@ -12,16 +12,18 @@ def make_meters() -> type:
     """The sensor class for the current variant."""
 
     class Meters(mi.Sensor):
-        """``origins``, ``directions``: tensors (n, 3), of a film of n x 1 pixels. ``irradiance``: whether the camera
-        paths begin on the white ``surface`` at each origin, towards which the ray points; otherwise they begin with the
-        ray."""
+        """``origins``, ``directions``: tensors (n, 3), of a film of n x 1 pixels; without them, all meters are on the
+        attribute ``shape``, uniform by area, and their rays point against its normals. ``irradiance``: whether camera
+        paths begin on the white ``surface`` at each origin, towards which the ray points; otherwise they begin with
+        the ray."""
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.plugin_name = "meters"
-            self._rays = [mi.Float(props[key].array) for key in ("origins", "directions")]
-            self.m_needs_sample_3 = False
-            self._count = len(self._rays[0]) // 3
+            self._rays = [mi.Float(props[key].array) for key in ("origins", "directions") if key in props]
+            self.shape: mi.Shape | None = None
+            self.m_needs_sample_3 = not self._rays
+            self._count = len(self._rays[0]) // 3 if self._rays else 0
             white = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 1.0}}
             self.surface = mi.load_dict(white) if props["irradiance"] else None
 
@@ -34,9 +36,12 @@ def make_meters() -> type:
             active: mi.Bool | bool = True,
         ) -> tuple[mi.Ray3f, mi.Spectrum]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
+            weight = weight * dr.pi if self.surface is not None else weight
+            if self.shape is not None:
+                place = self.shape.sample_position(time, sample3, active)
+                return mi.Ray3f(place.p, -mi.Vector3f(place.n), dr.inf, time, wavelengths), weight
             meter = dr.minimum(mi.UInt32(sample2.x * self._count), self._count - 1)
             o, d = (dr.gather(mi.Vector3f, values, meter) for values in self._rays)
-            weight = weight * dr.pi if self.surface is not None else weight
             return mi.Ray3f(mi.Point3f(o), d, dr.inf, time, wavelengths), weight
 
         def bbox(self) -> mi.ScalarBoundingBox3f:
@@ -44,7 +49,7 @@ def make_meters() -> type:
 
         def traverse(self, callback: mi.TraversalCallback) -> None:
             super().traverse(callback)
-            for key, values in zip(("origins", "directions"), self._rays, strict=True):
+            for key, values in zip(("origins", "directions"), self._rays, strict=False):
                 callback.put(key, values, mi.ParamFlags.NonDifferentiable)
 
         def to_string(self) -> str:
