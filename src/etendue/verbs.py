@@ -139,7 +139,8 @@ def measure(
         :meth:`etendue.lighting.Meters.read` takes.
     directions: with points: the normals of meters of irradiance, or the directions in which meters of radiance look;
         (n, 3), or one for all.
-    quantity: with points or a file: ``irradiance`` or ``radiance``.
+    quantity: with points or a file: ``irradiance``, ``radiance``, ``cylindrical`` (around the direction) or
+        ``spherical`` irradiance.
     method: ``path``, ``guided`` or ``bpt``.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
         relative standard error; without limits 4096 paths.

@@ -165,3 +165,17 @@ def test_sensors_of_mitsuba():
         assert read == pytest.approx([1.0] * 3, rel=5e-3), sensor["type"]
         with pytest.raises(UnsupportedError, match="use path, guided or bpt"):
             etendue.render(floor(lamp=sky, sensor=sensor), "vcm", spp=1)
+
+
+def test_cylindrical_and_spherical_irradiance():
+    # Of a point lamp: I sin / (pi d^2) with the angle to the axis, and I / (4 d^2); of a uniform sky: pi L.
+    lamp, up = point([1, 0, 1]), [[0.0, 0.0, 1.0]]
+    square = 2.0
+    for quantity, expected in (("cylindrical", 0.5**0.5 / (np.pi * square)), ("spherical", 1 / (4 * square))):
+        meters = Meters([[0, 0, 0.0]], up, quantity)
+        mote = {"type": "sphere", "center": [0, 0, -9], "radius": 0.01}
+        found = etendue.measure({"type": "scene", "mote": mote, "lamp": lamp}, meters, spp=1 << 16)
+        assert np.abs(found.values - expected).max() < 4 * found.errors.max() < 0.02 * expected, quantity
+        sky = {"type": "constant", "radiance": {"type": "rgb", "value": 2.0}}
+        found = etendue.measure({"type": "scene", "mote": mote, "sky": sky}, meters, spp=1 << 14)
+        assert np.allclose(found.values, 2.0 * np.pi, rtol=2e-3), quantity

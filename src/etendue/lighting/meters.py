@@ -16,8 +16,10 @@ from etendue.core import Array
 
 from .errors import LightingError
 
-Quantity = Literal["irradiance", "radiance"]
-QUANTITIES: tuple[Quantity, ...] = ("irradiance", "radiance")
+Quantity = Literal["irradiance", "radiance", "cylindrical", "spherical"]
+#: What meters measure: light on a plane, from a direction, and the mean on the sides of a small cylinder around the
+#: direction, or on a small sphere.
+QUANTITIES: tuple[Quantity, ...] = ("irradiance", "radiance", "cylindrical", "spherical")
 #: Numbers of a meter: a point and a direction.
 _COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 _SEPARATORS = re.compile(r"[,;\s]+")
@@ -31,8 +33,9 @@ class Meters:
     ----------
     points: (n, 3), in the scene's own coordinates.
     directions: (n, 3), unit vectors: the normal of a meter of irradiance, the direction in which a meter of radiance
-        looks.
-    quantity: ``irradiance``, all light that arrives on a plane, or ``radiance``, the light from one direction.
+        looks, the axis of a cylinder; without effect for a sphere.
+    quantity: ``irradiance``, all light that arrives on a plane; ``radiance``, the light from one direction; mean
+        ``cylindrical`` or ``spherical`` irradiance, on the sides of a small cylinder or on a small sphere.
     names: one for each meter; empty if they have none.
 
     Raises :class:`LightingError` for arrays of other shapes, numbers that are not finite, and directions of length 0.
@@ -45,7 +48,7 @@ class Meters:
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
-            raise LightingError(f"meters measure {' or '.join(QUANTITIES)}, not {self.quantity!r}")
+            raise LightingError(f"meters measure one of {', '.join(QUANTITIES)}, not {self.quantity!r}")
         points, directions = (
             _vectors(f"the {what} of meters", v)
             for what, v in (("points", self.points), ("directions", self.directions))

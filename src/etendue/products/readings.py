@@ -23,8 +23,18 @@ from .pictures import developed
 #: Camera paths of each meter, if there is no limit, and passes of a run, whose variance gives the standard error.
 _PATHS, _PASSES = 4096, 32
 #: Names of what is measured, by quantity: in watts, and in lumens.
-_RADIOMETRIC = {"irradiance": ("irradiance", "W/m^2"), "radiance": ("radiance", "W/m^2/sr")}
-_PHOTOMETRIC = {"irradiance": ("illuminance", "lx"), "radiance": ("luminance", "cd/m^2")}
+_RADIOMETRIC = {
+    "irradiance": ("irradiance", "W/m^2"),
+    "radiance": ("radiance", "W/m^2/sr"),
+    "cylindrical": ("cylindrical_irradiance", "W/m^2"),
+    "spherical": ("spherical_irradiance", "W/m^2"),
+}
+_PHOTOMETRIC = {
+    "irradiance": ("illuminance", "lx"),
+    "radiance": ("luminance", "cd/m^2"),
+    "cylindrical": ("cylindrical_illuminance", "lx"),
+    "spherical": ("spherical_illuminance", "lx"),
+}
 
 
 @dataclass(repr=False)

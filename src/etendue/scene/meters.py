@@ -60,13 +60,20 @@ def with_meters(problem: Problem, meters: Meters) -> Problem:
     Raises :class:`SceneError` for meters inside closed solids or in a medium.
     """
     points = problem.space.from_scene(meters.points)
-    measures_irradiance = meters.quantity == "irradiance"
+    measures_irradiance = meters.quantity != "radiance"
     _check_places(problem.scene, points, meters)
     origins, directions = (
         mi.TensorXf(np.ascontiguousarray(v, np.float32))
         for v in (points, -meters.directions if measures_irradiance else meters.directions)
     )
-    plugin = {"type": "meters", "origins": origins, "directions": directions, "irradiance": measures_irradiance}
+    plugin: dict[str, Any] = {
+        "type": "meters",
+        "origins": origins,
+        "directions": directions,
+        "irradiance": measures_irradiance,
+    }
+    if meters.quantity in ("cylindrical", "spherical"):
+        plugin["turned"] = meters.quantity
     sensor = mi.load_dict(plugin | {"film": _film(len(meters), 1)})
     return replace(problem, sensor=sensor, size=(len(meters), 1))
 
