@@ -96,6 +96,7 @@ class Readings:
         weights = 1.0 if photometric else 1.0 / EFFICACY
         read, error = weights * self.photometric, weights * self.photometric_error
         mean, count = float(read.mean()), len(read)
+        name = name.replace("_", " ")
         parts = [f"{name} {read.min():.4g} to {read.max():.4g} {unit}" if count > 1 else f"{name} {mean:.5g} {unit}"]
         if count > 1:
             parts.append(f"mean {mean:.4g}")

@@ -66,12 +66,8 @@ def with_meters(problem: Problem, meters: Meters) -> Problem:
         mi.TensorXf(np.ascontiguousarray(v, np.float32))
         for v in (points, -meters.directions if measures_irradiance else meters.directions)
     )
-    plugin: dict[str, Any] = {
-        "type": "meters",
-        "origins": origins,
-        "directions": directions,
-        "irradiance": measures_irradiance,
-    }
+    plugin: dict[str, Any] = {"type": "meters", "origins": origins, "directions": directions}
+    plugin["irradiance"] = measures_irradiance
     if meters.quantity in ("cylindrical", "spherical"):
         plugin["turned"] = meters.quantity
     sensor = mi.load_dict(plugin | {"film": _film(len(meters), 1)})

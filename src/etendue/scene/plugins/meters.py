@@ -60,8 +60,7 @@ def make_meters() -> type:
                 callback.put(key, values, mi.ParamFlags.NonDifferentiable)
 
         def to_string(self) -> str:
-            return block(
-                "meters", number=self._count, irradiance=self.surface is not None, turned=self._turned, film=self.film()
-            )
+            irradiance = self.surface is not None
+            return block("meters", number=self._count, irradiance=irradiance, turned=self._turned, film=self.film())
 
     return Meters
