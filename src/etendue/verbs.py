@@ -135,7 +135,7 @@ def measure(
     method: ``path``, ``guided`` or ``bpt``.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
         relative standard error; without limits 4096 paths.
-    save: tables, ``.csv``; with ``photometric`` in lx or cd/m^2.
+    save: tables, ``.csv``, and of a grid pictures in false colours, ``.png``; with ``photometric`` in lx or cd/m^2.
 
     Paths have any number of edges unless ``max_depth`` says otherwise; 2 is the direct light. The other arguments and
     the errors are those of :func:`render`; :class:`etendue.lighting.LightingError` for meters that are not valid,

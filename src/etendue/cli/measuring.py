@@ -52,7 +52,16 @@ def measure(
         opt.Size | None,
         typer.Option("--cells", help="Meters of the grid along its edges.", parser=opt.parse_size, metavar="NxM"),
     ] = None,
-    output: opt.Output = None,
+    output: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help=".csv, or of a grid .png (false colours and isolines); repeatable. By default SCENE-meters.csv.",
+            metavar="FILE",
+        ),
+    ] = None,
+    colour_range: opt.ColourRange = None,
     photometric: Annotated[
         bool, typer.Option("--photometric", help="In lx or cd/m^2 (683 lm/W), not in watts of red, green and blue.")
     ] = False,
@@ -92,7 +101,7 @@ def measure(
     notes: list[str] = []
     found = locate(scene, notes.append)
     tables = output or [Path(f"{default_name(found)}-meters.csv")]
-    product = MeterTable.of(meters, tuple(tables), photometric)
+    product = MeterTable.of(meters, tuple(tables), photometric, scale=colour_range or (None, None))
     choose_device(variant, threads, scene=found)
     kind = choose_method(method, found, parameters)
     source = SceneSource(found, parameters=parameters, memory=memory, meters=meters)
