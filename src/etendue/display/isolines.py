@@ -35,7 +35,6 @@ def isolines(values: ArrayLike, level: float) -> list[Array]:
     begins. Squares with a corner that is NaN have no lines.
     """
     v = np.asarray(values, dtype=np.float64)
-    height, width = v.shape
     if min(v.shape) < 2:
         return []
     number = np.arange(v.size).reshape(v.shape)

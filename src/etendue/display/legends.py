@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from etendue.core import OptionError
-from etendue.film import LUMINANCE
-from etendue.lighting import EFFICACY
+from etendue.lighting import photometric
 
 from .colours import false_colour
 from .isolines import isolines
@@ -68,7 +67,7 @@ def luminance_picture(image: ArrayLike, **options: Any) -> Bytes:
 
     ``options`` and errors are those of :func:`false_colour_picture`.
     """
-    return false_colour_picture(EFFICACY * np.asarray(image, np.float64) @ np.array(LUMINANCE), "cd/m^2", **options)
+    return false_colour_picture(photometric(image), "cd/m^2", **options)
 
 
 def false_colour_picture(
@@ -174,7 +173,8 @@ def _draw_lines(shown: Image.Image, lines: Sequence[Array], ink: tuple[int, int,
 
 def _draw_labels(shown: Image.Image, drawn: dict[float, list[Array]], scale: _Scale, size: int) -> None:
     """The values of lines, where there is room for them."""
-    draw, taken = ImageDraw.Draw(shown), []
+    draw = ImageDraw.Draw(shown)
+    taken: list[tuple[float, ...]] = []
     for level, lines in drawn.items():
         text, count = tick_text(level), 0
         width, height = _width(text, size) + 6, size + 4

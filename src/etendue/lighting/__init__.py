@@ -2,4 +2,4 @@
 
 from .errors import LightingError as LightingError
 from .meters import QUANTITIES as QUANTITIES, Meters as Meters, Quantity as Quantity
-from .units import EFFICACY as EFFICACY
+from .units import EFFICACY as EFFICACY, photometric as photometric

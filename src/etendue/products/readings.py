@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from etendue import film
 from etendue.core import Array, OptionError, Settings, checked_path, logger, warn_of_nonfinite
 from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, silent
-from etendue.lighting import EFFICACY, Meters
+from etendue.lighting import EFFICACY, Meters, photometric
 from etendue.scene import Problem
 
 from .files import PathLike, Writing, check_files, listed, rescued
@@ -50,15 +50,13 @@ class Readings:
     @property
     def photometric(self) -> Array:
         """(n,) illuminance in lx, or luminance in cd/m^2: 683 lm/W times the luminance of ``values``."""
-        result: Array = EFFICACY * self.values @ np.array(film.LUMINANCE)
-        return result
+        return photometric(self.values)
 
     @property
     def photometric_error(self) -> Array:
         """(n,) standard error of :attr:`photometric`; an upper estimate, as the errors of the channels are hardly ever
         independent."""
-        result: Array = EFFICACY * self.errors @ np.array(film.LUMINANCE)
-        return result
+        return photometric(self.errors)
 
     def save(
         self, path: PathLike, photometric: bool = False, low: float | None = None, high: float | None = None
@@ -157,9 +155,9 @@ class MeterTable(Product[Readings]):
         save_every: float | None = None,
         scale: tuple[float | None, float | None] = (None, None),
     ) -> MeterTable:
-        """Check and make. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, a picture of meters
-        that are no grid, a scale that does not rise or has no picture, a file that is named twice or a time that is not
-        above 0, :class:`OutputError` for a file that cannot be written."""
+        """Check and make. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, a picture of
+        meters that are no grid, a scale that does not rise or has no picture, a file that is named twice or a time that
+        is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
         files = tuple(check_readings_file(path, meters) for path in listed(tables))
         made = cls(meters, files, photometric, save_every, scale)
@@ -233,8 +231,8 @@ class MeterTable(Product[Readings]):
 
 
 def check_readings_file(path: PathLike, meters: Meters) -> Path:
-    """The path of a file of readings. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, and for
-    a picture of meters that are no grid."""
+    """The path of a file of readings. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, and
+    for a picture of meters that are no grid."""
     checked = checked_path(path, "a table")
     suffix = checked.suffix.lower()
     if suffix not in (".csv", ".png"):
