@@ -55,7 +55,10 @@ def isolines(values: ArrayLike, level: float) -> list[Array]:
             has |= kind == np.where(is_high, saddle[1], saddle[0])
         pairs.append(np.stack([sides[name][has] for name in joined], axis=1))
     chains = _chains(np.concatenate(pairs))
-    return [_points(np.array(chain), v, level) for chain in chains]
+    if not chains:
+        return []
+    ends = np.cumsum([len(chain) for chain in chains])
+    return np.split(_points(np.concatenate(chains), v, level), ends[:-1])
 
 
 def _chains(pairs: NDArray[np.int64]) -> list[list[int]]:

@@ -178,10 +178,11 @@ def _draw_labels(shown: Image.Image, drawn: dict[float, list[Array]], scale: _Sc
     for level, lines in drawn.items():
         text, count = tick_text(level), 0
         width, height = _width(text, size) + 6, size + 4
-        for line in sorted(lines, key=_length, reverse=True):
-            if count == _LABELS or _length(line) < 6 * width:
+        lengths = [_length(line) for line in lines]
+        for k in np.argsort(lengths)[::-1]:
+            if count == _LABELS or lengths[k] < 6 * width:
                 break
-            for x, y in (_along(line, share) for share in _PLACES):
+            for x, y in (_along(lines[k], share) for share in _PLACES):
                 box = x - width / 2, y - height / 2, x + width / 2, y + height / 2
                 inside = box[0] >= 0 and box[1] >= 0 and box[2] <= shown.width and box[3] <= shown.height
                 if inside and not any(_overlap(box, other) for other in taken):
