@@ -144,7 +144,7 @@ def measure(
     method: ``path``, ``guided`` or ``bpt``.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
         relative standard error; without limits 4096 paths.
-    save: tables, ``.csv``; with ``photometric`` in lx or cd/m^2.
+    save: tables, ``.csv``, and of a grid pictures in false colours, ``.png``; with ``photometric`` in lx or cd/m^2.
 
     Paths have any number of edges unless ``max_depth`` says otherwise; 2 is the direct light. The other arguments and
     the errors are those of :func:`render`; :class:`etendue.lighting.LightingError` for meters that are not valid,
@@ -352,6 +352,7 @@ def solve_radiosity(
     variant: str | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
+    photometric: bool = False,
     size: tuple[int, int] | None = None,
     sensor: int = 0,
     gather: int = 0,
@@ -392,6 +393,8 @@ def solve_radiosity(
         of the irradiance, averaged over the surface and divided by the mean irradiance.
     save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, a page, ``.html``, and
         pictures, ``.exr`` or ``.png``. The picture is also in the result.
+    photometric: also illuminance in lx and luminous exitance in lm/m^2, as arrays of ``.vtu``, ``.npz`` and ``.nc`` and
+        on the page; the picture is of irradiance, a ``.png`` of illuminance in false colours.
     size, sensor, gather, spp, smooth: options of pictures, see :func:`etendue.products.patches.picture`.
     error_picture: beside a ``.png``, write its relative standard error in false colours.
     lightmap: an ``.exr`` file, or a ``.glb``, ``.gltf`` or ``.obj`` file for the mesh with the ``.exr`` beside it; of
@@ -421,6 +424,7 @@ def solve_radiosity(
         divide=divide,
         outputs=SolutionFiles(
             files=listed(save),
+            photometric=photometric,
             size=size,
             sensor=sensor,
             gather=gather,

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+import etendue
 from etendue.cli.main import main
 from etendue.film import read_exr, read_image
 
 h5netcdf = pytest.importorskip("h5netcdf")
 pytest.importorskip("trimesh")
+meshio = pytest.importorskip("meshio")
 
 SCENE = """<scene version="3.0.0">
     <sensor type="perspective"><float name="fov" value="60"/>
@@ -82,6 +85,44 @@ def test_an_eight_bit_picture_and_its_error(capsys, variant):
     assert np.ptp(read_image("p-error.png")) > 0
 
 
+def test_photometric_outputs(capsys, variant):
+    assert run("-o s.npz -o s.vtu -o s.nc -o s.png --page --photometric --size 420x410", variant) == 0
+    err = capsys.readouterr().err
+    with np.load("s.npz") as saved:
+        lux = 683.0 * saved["irradiance"] @ [0.2126, 0.7152, 0.0722]
+        np.testing.assert_allclose(saved["illuminance"], lux)
+        np.testing.assert_allclose(saved["luminous_exitance"], 683.0 * saved["radiosity"] @ [0.2126, 0.7152, 0.0722])
+        mean = np.average(lux, weights=saved["areas"])
+        assert f"illuminance {lux.min():.4g} to {lux.max():.4g} lx, mean {mean:.4g}" in err
+        assert json.loads(str(saved["metadata"]))["units"]["luminous_exitance"] == "lm/m^2"
+        patches = len(lux)
+    with h5netcdf.File("s.nc", "r") as file:
+        assert file.variables["illuminance"].attrs["units"] == "lx"
+    cells = np.concatenate(meshio.read("s.vtu").cell_data["illuminance"])
+    assert cells.min() == pytest.approx(lux.min()) and len(cells) >= patches
+    page = Path("s.html").read_text("utf-8")
+    assert f"Illuminance {lux.min():.4g} to {lux.max():.4g} lx" in page and '"unit": "lx"' in page
+    picture = np.asarray(Image.open("s.png").convert("RGB"))
+    assert picture.shape[0] == 410 and picture.shape[1] > 420 and (picture[:, 421:428] == 255).all()
+    # Later, from the file: the picture is irradiance, of which a wall has what its patches have.
+    assert run("-o again.png --photometric --flat --solution s.npz --size 420x410", variant) == 0
+    assert np.asarray(Image.open("again.png").convert("RGB")).shape[0] == 410
+    assert run("-o plain.npz", variant) == 0
+    with np.load("plain.npz") as saved:
+        assert "illuminance" not in saved
+
+
+def test_the_picture_of_irradiance_in_a_closed_room(variant):
+    """Walls that emit evenly: E = pi L / (1 - rho) everywhere, and so is the picture."""
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 2.0, 3.0]}}
+    sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}}
+    walls = {"type": "cube", "flip_normals": True, "bsdf": grey, "emitter": lamp}
+    scene = {"type": "scene", "sensor": sensor, "walls": walls}
+    made = etendue.solve_radiosity(scene, bundles=64, max_area=1.0, photometric=True, save="e.png", variant=variant)
+    np.testing.assert_allclose(made.picture.image, np.pi * np.array([2.0, 4.0, 6.0]) * np.ones((8, 8, 1)), rtol=1e-3)
+
+
 def test_arrays_and_vertex_colours(variant):
     assert run("-o s.nc", variant) == 0
     with h5netcdf.File("s.nc", "r") as file:
@@ -126,6 +167,9 @@ def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
         ("-o s.exr --lightmap 64 --uv scene --size 8x8", "size is for pictures"),
         ("-o s.exr --error-picture", "an error picture is for .png"),
         ("-o s.png --error-picture --bundles 1", "an error picture needs at least two bundles"),
+        ("-o s.vtu -o s.ply --photometric", "photometric numbers are written to .vtu, .npz, .nc, .png, .html, not to"),
+        ("-o s.png --photometric --gather 4", "gather is of radiance"),
+        ("-o s.vtu --photometric --temperature 300", "temperature makes heat"),
         ("-o s.exr --uv scene", "uv is for lightmaps"),
         ("-o s.vtu --lightmap 64", "take .exr, .glb, .gltf, .obj"),
         ("-o s.exr --lightmap 64 --uv scene", "texture coordinates overlap"),

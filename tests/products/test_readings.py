@@ -7,11 +7,14 @@ import csv
 import mitsuba as mi
 import numpy as np
 import pytest
+from PIL import Image
 
 import etendue
 from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.display import false_colour
 from etendue.film import LUMINANCE
-from etendue.lighting import EFFICACY, Meters
+from etendue.lighting import EFFICACY, LightingError, Meters
+from etendue.products import MeterTable
 
 UP = [[0.0, 0.0, 1.0]]
 
@@ -104,6 +107,36 @@ def test_tables(tmp_path):
     rows = list(csv.DictReader((tmp_path / "c.csv").open()))
     assert float(rows[1]["irradiance_g [W/m^2]"]) == pytest.approx(found.values[1, 1], rel=1e-6)
     assert "uniformity" in found.summary() and "2 meters" in repr(found)
+
+
+def test_a_picture_of_a_grid_is_seen_from_the_side_that_meters_face(tmp_path):
+    """A lamp near the end of the first edge and the beginning of the second: at the lower right."""
+    desk = Meters.grid([-1, -1, 0.5], [2, 0, 0], [0, 1, 0], (8, 4))
+    found = etendue.measure(floor(lamp=point([0.8, -0.9, 1.5])), desk, spp=16, max_depth=2)
+    found.save(tmp_path / "lux.png", photometric=True, low=0.0, high=1000.0)
+    found.save(tmp_path / "watts.png", low=0.0, high=1000.0 / EFFICACY)
+    lux, watts = (np.asarray(Image.open(tmp_path / name).convert("RGB")) for name in ("lux.png", "watts.png"))
+    # Eight by four cells of 0.25 x 0.25 make 800 x 400 pixels; away from lines and labels.
+    expected = false_colour(found.photometric.reshape(4, 8)[::-1], 0.0, 1000.0, logarithmic=False)
+    same = np.stack([lux[y::100, x:800:100] == expected for y in (4, 50, 95) for x in (4, 50, 95)]).all(axis=-1)
+    assert same.mean() > 0.9 and same.any(axis=0).all()
+    assert expected[3, 7].sum() > expected[0, 0].sum() and found.meters.cells == (8, 4)
+    # Lines differ from the colours of the cells, and those in watts are elsewhere; the cells are the same.
+    assert (lux[:400, :800] == watts[:400, :800]).all(axis=2).mean() > 0.9
+    assert not (lux[:, 800:].shape == watts[:, 800:].shape and (lux[:, 800:] == watts[:, 800:]).all())
+
+
+def test_only_grids_have_pictures(tmp_path):
+    scene = floor(lamp=point([0, 0, 2]))
+    with pytest.raises(OptionError, match="needs a grid of meters"):
+        etendue.measure(scene, [[0, 0, 0]], spp=1, save=tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(LightingError, match="there are 1 meters, but 2x2 cells"):
+        Meters([[0, 0, 0]], UP, cells=(2, 2))
+    grid = Meters.grid([0, 0, 0], [1, 0, 0], [0, 1, 0], (2, 1))
+    assert Meters(**grid.to_dict()).cells == (2, 1)
+    with pytest.raises(OptionError, match=r"write a \.png"):
+        MeterTable.of(grid, tmp_path / "a.csv", scale=(0.0, 1.0))
 
 
 def test_bad_meters(tmp_path, caplog):

@@ -11,9 +11,9 @@ from support.viewing import Page
 import etendue
 from etendue.cli.main import main
 from etendue.core import Result
-from etendue.display import develop
-from etendue.film import ALBEDO, COMPONENTS, NORMAL, read_exr, write_exr
-from etendue.viewer.shown import Show
+from etendue.display import develop, false_colour
+from etendue.film import ALBEDO, COMPONENTS, LUMINANCE, NORMAL, read_exr, write_exr
+from etendue.viewer.shown import LUMINANCE_LAYER, Show, luminances
 
 SIZE = (20, 12)
 
@@ -152,7 +152,7 @@ def test_references_and_what_needs_a_scene(viewer, folder):
         assert read_exr(folder / "kept.exr").metadata["method"] == "bpt"
         page.send("open", scene=str(folder / "small.exr"))
         state, _ = await page.until("state", lambda m: m["size"] == [3, 2])
-        assert state["layers"] == ["image"]
+        assert state["layers"] == ["image", LUMINANCE_LAYER]
         page.send("open", scene=str(folder / "picture.exr"))
         await page.until("state", lambda m: tuple(m["size"]) == SIZE)
 
@@ -162,3 +162,28 @@ def test_references_and_what_needs_a_scene(viewer, folder):
 def test_a_missing_picture_is_told_at_once(capsys, tmp_path):
     assert main(["view", str(tmp_path / "none.exr"), "--no-browser"]) == 3
     assert "there is no picture" in capsys.readouterr().err
+
+
+def test_luminance_in_false_colours_follows_the_exposure(viewer, folder):
+    """The page's scale has the ends of ``luminances``; the exposure doubles what is black and yellow."""
+    image = np.zeros((1, 3, 3), np.float32)
+    for x, value in enumerate((2.0**-9, 2.0**-3, 2.0**3)):
+        image[0, x] = value  # the ends and the middle of the scale at no exposure
+    found = Show(layer=LUMINANCE_LAYER).colours({"image": image}, 0.0)
+    assert found.tolist() == [[[0, 0, 4], [186, 54, 85], [252, 255, 164]]]
+    assert (Show(layer=LUMINANCE_LAYER).colours({"image": image / 4}, 2.0) == found).all()
+    assert luminances(0.0) == (683 / 512, 683 * 8) and luminances(3.0)[1] == 683
+
+    async def conversation(page):
+        about, _ = await page.until("about")
+        assert about["luminance"]["ends"] == [683 / 512, 683 * 8]
+        page.send("show", layer=LUMINANCE_LAYER, exposure=0.0)
+        expected = false_colour(683 * layers()["image"] @ np.array(LUMINANCE), *luminances(0.0)).astype(float)
+        await shown(page, lambda seen: np.abs(seen - expected).mean() < 12)
+        page.send("save", what="picture", name="luminance.png")
+        await page.until("saved")
+        page.send("show", layer="image", exposure="auto")
+
+    talk(viewer, conversation)
+    saved = np.asarray(Image.open(folder / "luminance.png").convert("RGB"))
+    assert saved.shape[0] == 12 * 33 and saved.shape[1] > 20 * 33  # enlarged, with a legend

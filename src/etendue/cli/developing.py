@@ -32,6 +32,13 @@ def develop(
     ] = None,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
+    false_colour: Annotated[
+        bool, typer.Option("--false-colour", help="Luminance in cd/m^2 (683 lm/W) in false colours, with a legend.")
+    ] = False,
+    colour_range: opt.ColourRange = None,
+    isolines: Annotated[
+        bool, typer.Option("--isolines", help="With --false-colour: lines of equal luminance, at round values.")
+    ] = False,
     layers: Annotated[
         str | None,
         typer.Option(
@@ -47,7 +54,7 @@ def develop(
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Make a PNG of an OpenEXR picture: denoise it if asked, expose it, apply a tone curve.
+    """Make a PNG of an OpenEXR picture: denoise it if asked, expose it, apply a tone curve, or use false colours.
 
     The file itself is not changed.
     """
@@ -55,8 +62,16 @@ def develop(
     from etendue.products import check_files, check_picture, save_result
 
     display.check_tone(exposure, tone)
-    filters = display.parse_filters(denoise, radius, strength)
     outputs = output or [picture.with_suffix(".png")]
+    if false_colour:
+        if (tone, exposure) != ("srgb", "auto"):
+            raise OptionError("false colours show luminance as it is: leave out --tone and --exposure")
+        if linear := next((path for path in outputs if path.suffix.lower() == ".exr"), None):
+            raise OptionError(f"false colours are written as .png, not as '{linear.name}'; leave out --false-colour")
+        display.check_range(*(colour_range or ()))
+    elif colour_range is not None or isolines:
+        raise OptionError("--range and --isolines are of false colours; give --false-colour, too")
+    filters = display.parse_filters(denoise, radius, strength)
     for path in outputs:
         check_picture(path)
         if path.absolute() == picture.absolute() or (path.exists() and picture.exists() and path.samefile(picture)):
@@ -86,6 +101,13 @@ def develop(
         strength=strength,
         tell=lambda text: note(console, text),
     )
+    if false_colour:
+        low, high = colour_range or (None, None)
+        shown = display.luminance_picture(developed, low=low, high=high, lines=isolines)
+        for path in outputs:
+            display.write_png(path, shown)
+            say(str(path))
+        return 0
     if exposure == "auto":  # by the raw picture: a denoiser takes away bright pixels and spreads light into dark ones
         exposure = display.auto_exposure(display.develop(read.layers, components=wanted))
     how = {"from": str(picture), "denoise": denoise, "layers": layers, "radius": radius, "strength": strength}

@@ -14,7 +14,15 @@ import typer
 from etendue.core import OptionError, format_count, format_seconds, logger
 from etendue.engine import Checkpoint, Job, Task
 from etendue.products import FormFactorResult, RadiosityResult, start_job
-from etendue.products.patches import ERROR_SCALE, AtOnce, FormFactorProduct, PatchProduct, SolutionProduct, write_saved
+from etendue.products.patches import (
+    ERROR_SCALE,
+    AtOnce,
+    FormFactorProduct,
+    PatchProduct,
+    SolutionProduct,
+    illuminance_text,
+    write_saved,
+)
 
 from .console import Steps, error_console, note, say
 from .running import follow
@@ -174,6 +182,8 @@ def _rows(factors: FormFactors) -> str:
 
 def _describe_shown(outputs: Any, result: RadiosityResult) -> None:
     low, high = ERROR_SCALE
+    if outputs.photometric and result.solution is not None:
+        _note(illuminance_text(result.solution))
     for path in outputs.error_pictures:
         _note(f"{path.name}: relative standard error, black {low:.1%} to yellow {high:.0%}")
     if (made := result.lightmap) is not None:

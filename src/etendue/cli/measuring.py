@@ -72,13 +72,28 @@ def measure(
     points: Points = None,
     grid: Grid = None,
     cells: Cells = None,
-    output: opt.Output = None,
+    output: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help=".csv, or of a grid .png (false colours and isolines); repeatable. By default SCENE-meters.csv.",
+            metavar="FILE",
+        ),
+    ] = None,
+    colour_range: opt.ColourRange = None,
     photometric: Annotated[
         bool, typer.Option("--photometric", help="In lx or cd/m^2 (683 lm/W), not in watts of red, green and blue.")
     ] = False,
-    radiance: Annotated[
-        bool, typer.Option("--radiance", help="Radiance from the direction of each meter, not irradiance on it.")
-    ] = False,
+    quantity: Annotated[
+        str,
+        typer.Option(
+            "--quantity",
+            help="irradiance on a plane, radiance from the direction of each meter, or mean cylindrical or spherical "
+            "irradiance around it.",
+            metavar="NAME",
+        ),
+    ] = "irradiance",
     method: Annotated[str, typer.Option("--method", "-m", help="path, guided or bpt.", metavar="NAME")] = "path",
     time: opt.Time = None,
     spp: PathsOfMeters = None,
@@ -104,13 +119,13 @@ def measure(
 
     from .running import choose_device, default_name, follow
 
-    meters = _meters(points, grid, cells, "radiance" if radiance else "irradiance")
+    meters = _meters(points, grid, cells, quantity)
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
     limits = opt.limits(time, error, spp=spp)
     notes: list[str] = []
     found = locate(scene, notes.append)
     tables = output or [Path(f"{default_name(found)}-meters.csv")]
-    product = MeterTable.of(meters, tuple(tables), photometric)
+    product = MeterTable.of(meters, tuple(tables), photometric, scale=colour_range or (None, None))
     choose_device(variant, threads, scene=found)
     kind = choose_method(method, found, parameters)
     source = SceneSource(found, parameters=parameters, memory=memory, meters=meters)

@@ -28,6 +28,13 @@ class Size(NamedTuple):
     height: int
 
 
+class Range(NamedTuple):
+    """The ends of a scale; ``None`` is automatic."""
+
+    low: float | None = None
+    high: float | None = None
+
+
 @dataclass(frozen=True)
 class Device:
     """Where passes are made: the Mitsuba variant and threads, and a cluster or local worker processes."""
@@ -119,6 +126,17 @@ def parse_exposure(text: str | float) -> float | str:
         return text if text == "auto" else float(text)
     except ValueError:
         raise OptionError(f"--exposure needs a number of stops or 'auto', not '{text}'") from None
+
+
+def parse_range(text: str) -> Range:
+    """Both ends from ``10:500``, one of which may be missing. Raises :class:`OptionError`."""
+    low, colon, high = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return Range(*(float(end) if end.strip() else None for end in (low, high)))
+    except ValueError:
+        raise OptionError(f"--range needs LOW:HIGH, such as 0:500, not '{text}'") from None
 
 
 def parse_memory(text: str) -> int:
@@ -274,6 +292,15 @@ Exposure = Annotated[
     Any,
     typer.Option(
         "--exposure", help="Exposure of a .png in stops (1 doubles), or auto.", parser=parse_exposure, metavar="EV"
+    ),
+]
+ColourRange = Annotated[
+    Range | None,
+    typer.Option(
+        "--range",
+        help="Ends of the false colours, or one of them; logarithmic from a ratio of 100.",
+        parser=parse_range,
+        metavar="LOW:HIGH",
     ),
 ]
 Folder = Annotated[

@@ -202,6 +202,14 @@ def radiosity(
         ),
     ] = None,
     output: SolutionPaths = None,
+    photometric: Annotated[
+        bool,
+        typer.Option(
+            "--photometric",
+            help="Also illuminance in lx and luminous exitance (683 lm/W): arrays of .vtu, .npz and .nc, in the page; "
+            "a .png is of illuminance in false colours.",
+        ),
+    ] = False,
     bundles: Bundles = None,
     points: Annotated[
         int | None,
@@ -359,6 +367,7 @@ def radiosity(
         divide=divide,
         outputs=SolutionFiles(
             files=files,
+            photometric=photometric,
             command=command_line() if any(path.suffix == ".html" for path in files) else "",
             size=size,
             sensor=sensor,

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
         part_names as part_names,
     )
     from .developing import develop as develop
+    from .legends import (
+        check_range as check_range,
+        false_colour_picture as false_colour_picture,
+        luminance_picture as luminance_picture,
+    )
     from .meshes import MeshView as MeshView, mesh_picture as mesh_picture
     from .pages import page as page
     from .plots import Series as Series, convergence_plot as convergence_plot

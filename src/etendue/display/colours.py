@@ -24,14 +24,16 @@ _INFERNO = np.array(
 _NOT_FINITE = (0, 200, 220)
 
 
-def false_colour(values: ArrayLike, low: float, high: float) -> NDArray[np.uint8]:
-    """``values``, (height, width), on a logarithmic scale from ``low`` (black) to ``high`` (yellow), as sRGB bytes.
+def false_colour(values: ArrayLike, low: float, high: float, *, logarithmic: bool = True) -> NDArray[np.uint8]:
+    """``values``, (height, width), on a logarithmic or linear scale from ``low`` (black) to ``high`` (yellow), as sRGB
+    bytes. :func:`false_colour_picture` adds a legend.
 
     Values outside are clipped to the ends; NaN is turquoise.
     """
     x = np.asarray(values, dtype=np.float64)
     known = ~np.isnan(x)
-    position = np.log(np.clip(np.where(known, x, low), low, high) / low) / np.log(high / low)
+    x = np.clip(np.where(known, x, low), low, high)
+    position = np.log(x / low) / np.log(high / low) if logarithmic else (x - low) / (high - low)
     stops = np.linspace(0.0, 1.0, len(_INFERNO))
     rgb = np.stack([np.interp(position, stops, _INFERNO[:, k]) for k in range(3)], axis=-1)
     rgb[~known] = _NOT_FINITE

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
+from .scales import logarithmic_ticks, tick_text
+
 #: Distinct for most kinds of colour blindness (Okabe and Ito); a page may redefine them as ``--series-1`` and so on.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#7a6a00", "#56b4e9")
 _DASHES = ("", "7 3", "2 3", "9 3 2 3", "4 2", "1 2")
@@ -43,20 +45,6 @@ class _LogAxis:
     def __call__(self, value: float) -> float:
         share = math.log(value / self.low) / math.log(self.high / self.low)
         return self.start + share * (self.end - self.start)
-
-    def ticks(self) -> list[tuple[float, bool]]:
-        """(value, labelled) at multiples 1 to 9 of decades. Decades have labels; on short axes multiples as well."""
-        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
-        decades = math.log10(self.high / self.low)
-        steps = range(1, 10) if decades < 0.8 else (1, 2, 5) if decades < 2.5 else (1,)
-        every = 1 if decades <= 6 else 2
-        found = []
-        for exponent in range(first, last + 1):
-            for step in range(1, 10):
-                value = step * 10.0**exponent
-                if self.low * (1 - 1e-9) <= value <= self.high * (1 + 1e-9):
-                    found.append((value, step in steps and exponent % every == 0))
-        return found
 
 
 def convergence_plot(
@@ -104,12 +92,12 @@ def _axis(values: list[float], start: float, end: float) -> _LogAxis:
 def _frame(x_axis: _LogAxis, y_axis: _LogAxis, x_label: str, y_label: str) -> list[str]:
     x0, x1, y0, y1 = x_axis.start, x_axis.end, y_axis.start, y_axis.end
     parts = []
-    for value, labelled in x_axis.ticks():
+    for value, labelled in logarithmic_ticks(x_axis.low, x_axis.high):
         x = x_axis(value)
         parts.append(_line(x, y0, x, y1, 0.14 if labelled else 0.06))
         if labelled:
             parts.append(_text(x, y0 + 18, _number(value), "middle"))
-    for value, labelled in y_axis.ticks():
+    for value, labelled in logarithmic_ticks(y_axis.low, y_axis.high):
         y = y_axis(value)
         parts.append(_line(x0, y, x1, y, 0.14 if labelled else 0.06))
         if labelled:
@@ -214,10 +202,6 @@ def _text(x: float, y: float, text: str, anchor: str) -> str:
 
 
 def _number(value: float) -> str:
-    """1000, 0.05, 10^-4 (superscript by Unicode)."""
-    if 1e-3 <= value < 1e5:
-        return f"{value:g}"
-    exponent = math.floor(math.log10(value) + 1e-9)
-    lead = round(value / 10.0**exponent)
-    power = "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return power if lead == 1 else f"{lead}·{power}"
+    """As :func:`tick_text`, with superscript digits."""
+    lead, power, exponent = tick_text(value).partition("^")
+    return lead + exponent.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")) if power else lead

@@ -13,6 +13,6 @@ from .skies import (
     perez_sky as perez_sky,
 )
 from .sun import day_of_year as day_of_year, sun_direction as sun_direction
-from .units import EFFICACY as EFFICACY
+from .units import EFFICACY as EFFICACY, photometric as photometric
 from .weather import Weather as Weather, read_epw as read_epw
 from .web import PhotometricWeb as PhotometricWeb

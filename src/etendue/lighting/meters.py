@@ -37,6 +37,7 @@ class Meters:
     quantity: ``irradiance``, all light that arrives on a plane; ``radiance``, the light from one direction; mean
         ``cylindrical`` or ``spherical`` irradiance, on the sides of a small cylinder or on a small sphere.
     names: one for each meter; empty if they have none.
+    cells: numbers of meters along both edges of a grid, see :meth:`grid`.
 
     Raises :class:`LightingError` for arrays of other shapes, numbers that are not finite, and directions of length 0.
     """
@@ -45,6 +46,7 @@ class Meters:
     directions: Array
     quantity: Quantity = "irradiance"
     names: tuple[str, ...] = ()
+    cells: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
@@ -64,6 +66,10 @@ class Meters:
             raise LightingError(f"meter {int(np.argmin(length))} has a direction of length 0; give it a normal")
         if self.names and len(self.names) != len(points):
             raise LightingError(f"there are {len(points)} meters, but {len(self.names)} names")
+        if self.cells is not None:
+            object.__setattr__(self, "cells", tuple(map(int, self.cells)))
+            if np.prod(self.cells) != len(points):
+                raise LightingError(f"there are {len(points)} meters, but {'x'.join(map(str, self.cells))} cells")
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "directions", directions / length + 0.0)  # no -0 in tables
@@ -78,6 +84,7 @@ class Meters:
             "directions": self.directions.tolist(),
             "quantity": self.quantity,
             "names": list(self.names),
+            "cells": self.cells and list(self.cells),
         }
 
     @classmethod
@@ -100,7 +107,7 @@ class Meters:
             raise LightingError("the edges of a grid are parallel or of length 0; give two that span a plane")
         s, t = ((np.arange(n) + 0.5) / n for n in cells)
         points = origin + s[None, :, None] * a + t[:, None, None] * b
-        return cls(points.reshape(-1, 3), normal[None], quantity)
+        return cls(points.reshape(-1, 3), normal[None], quantity, cells=(cells[0], cells[1]))
 
     @classmethod
     def read(cls, path: Path, quantity: Quantity = "irradiance") -> Meters:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         save_result as save_result,
         scene_settings as scene_settings,
     )
-    from .readings import MeterTable as MeterTable, Readings as Readings, check_table as check_table
+    from .readings import MeterTable as MeterTable, Readings as Readings
     from .registry import (
         DEFAULT as DEFAULT,
         FACTORS as FACTORS,

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import Array, OptionError, Settings, checked_path, logger, warn_of_nonfinite
 from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, silent
-from etendue.lighting import EFFICACY, Meters
+from etendue.lighting import EFFICACY, Meters, photometric
 from etendue.scene import Problem
 
 from .files import PathLike, Writing, check_files, listed, rescued
@@ -35,6 +36,8 @@ _PHOTOMETRIC = {
     "cylindrical": ("cylindrical_illuminance", "lx"),
     "spherical": ("spherical_illuminance", "lx"),
 }
+#: What is wrong with a picture of meters at any points.
+_NO_GRID = "a picture of readings needs a grid of meters; give a grid, or write a table, .csv"
 
 
 @dataclass(repr=False)
@@ -57,23 +60,30 @@ class Readings:
     @property
     def photometric(self) -> Array:
         """(n,) illuminance in lx, or luminance in cd/m^2: 683 lm/W times the luminance of ``values``."""
-        result: Array = EFFICACY * self.values @ np.array(film.LUMINANCE)
-        return result
+        return photometric(self.values)
 
     @property
     def photometric_error(self) -> Array:
         """(n,) standard error of :attr:`photometric`; an upper estimate, as the errors of the channels are hardly ever
         independent."""
-        result: Array = EFFICACY * self.errors @ np.array(film.LUMINANCE)
-        return result
+        return photometric(self.errors)
 
-    def save(self, path: PathLike, photometric: bool = False) -> None:
+    def save(
+        self, path: PathLike, photometric: bool = False, low: float | None = None, high: float | None = None
+    ) -> None:
         """Write a table (``.csv``): a row for each meter with its name, point and direction, and what it reads with
-        the standard error: red, green and blue, or one ``photometric`` number.
+        the standard error: red, green and blue, or one ``photometric`` number. Or write a picture (``.png``) of a grid:
+        see :meth:`picture`.
 
-        Raises :class:`OptionError` for another suffix, :class:`OutputError` if the file cannot be written.
+        Raises :class:`OptionError` for another suffix and a picture of meters that are no grid, :class:`OutputError` if
+        the file cannot be written.
         """
-        path = check_table(path)
+        path = check_readings_file(path, self.meters)
+        if path.suffix.lower() == ".png":
+            from etendue.display import write_png  # imported late: most of it is for pages and plots
+
+            write_png(path, self.picture(photometric, low, high))
+            return
         name, unit = (_PHOTOMETRIC if photometric else _RADIOMETRIC)[self.meters.quantity]
         heads = [f"{name} [{unit}]"] if photometric else [f"{name}_{c} [{unit}]" for c in "rgb"]
         heads += [head.split(" ")[0] + "_error" for head in heads]
@@ -85,6 +95,30 @@ class Readings:
             writer.writerow([*(["name"] if names else []), "x", "y", "z", "nx", "ny", "nz", *heads])
             for k, row in enumerate(np.concatenate(numbers, axis=1)):
                 writer.writerow([*names[k : k + 1], *(f"{v:.9g}" for v in row)])
+
+    def picture(
+        self, photometric: bool = False, low: float | None = None, high: float | None = None
+    ) -> NDArray[np.uint8]:
+        """The readings of a grid in false colours with isolines and a legend, (height, width, 3) sRGB bytes: in lx or
+        cd/m^2 if ``photometric``, otherwise their luminance in W/m^2 or W/m^2/sr.
+
+        It shows the grid from the side that the meters face, the first edge to the right, the second upwards. ``low``,
+        ``high``: the ends of the scale, see :func:`etendue.display.false_colour_picture`. Raises :class:`OptionError`
+        for meters that are no grid.
+        """
+        from etendue.display import false_colour_picture
+
+        if self.meters.cells is None:
+            raise OptionError(_NO_GRID)
+        _, unit = (_PHOTOMETRIC if photometric else _RADIOMETRIC)[self.meters.quantity]
+        columns, rows = self.meters.cells
+        points = self.meters.points.reshape(rows, columns, 3)
+        # Distances of neighbours; along an edge with one meter it is not known.
+        steps = [np.linalg.norm(line[1] - line[0]) if len(line) > 1 else None for line in (points[0], points[:, 0])]
+        known = [float(step) for step in steps if step is not None] or [1.0]
+        pixel = (known[0], known[-1])
+        values = self.photometric * (1.0 if photometric else 1.0 / EFFICACY)
+        return false_colour_picture(values.reshape(rows, columns)[::-1], unit, low, high, lines=True, pixel=pixel)
 
     def _columns(self, photometric: bool) -> tuple[Array, Array]:
         return (self.photometric, self.photometric_error) if photometric else (self.values, self.errors)
@@ -112,7 +146,8 @@ class Readings:
 
 @dataclass
 class MeterTable(Product[Readings]):
-    """Readings and their tables. ``photometric``: tables in lx or cd/m^2."""
+    """Readings and their files: tables, and pictures of grids. ``photometric``: in lx or cd/m^2. ``scale``: the ends of
+    the scale of pictures."""
 
     kind: ClassVar[str] = "readings"
 
@@ -120,6 +155,7 @@ class MeterTable(Product[Readings]):
     tables: tuple[Path, ...] = ()
     photometric: bool = False
     save_every: float | None = None
+    scale: tuple[float | None, float | None] = (None, None)
 
     @classmethod
     def of(
@@ -128,17 +164,26 @@ class MeterTable(Product[Readings]):
         tables: PathLike | Sequence[PathLike] = (),
         photometric: bool = False,
         save_every: float | None = None,
+        scale: tuple[float | None, float | None] = (None, None),
     ) -> MeterTable:
-        """Check and make. Raises :class:`OptionError` for another suffix than ``.csv``, a file that is named twice or a
-        time that is not above 0, :class:`OutputError` for a file that cannot be written."""
+        """Check and make. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, a picture of
+        meters that are no grid, a scale that does not rise or has no picture, a file that is named twice or a time that
+        is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
-        made = cls(meters, tuple(map(check_table, listed(tables))), photometric, save_every)
+        files = tuple(check_readings_file(path, meters) for path in listed(tables))
+        made = cls(meters, files, photometric, save_every, scale)
+        if scale != cls.scale:
+            from etendue.display import check_range
+
+            check_range(*scale)
+            if not any(path.suffix.lower() == ".png" for path in files):
+                raise OptionError("a range is that of the colours of a picture; write a .png, too")
         check_files(made.files)
         return made
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The tables."""
+        """The tables and pictures."""
         return self.tables
 
     def default_budget(self, task: Task, problem: Problem) -> Budget:
@@ -183,11 +228,12 @@ class MeterTable(Product[Readings]):
             )
         writing = Writing()
         for path in self.tables:
-            write = partial(result.save, photometric=self.photometric)
+            low, high = self.scale
+            write = partial(result.save, photometric=self.photometric, low=low, high=high)
 
             def rescue(path: Path = path, write: Callable[[Path], None] = write) -> str:
                 place = None if run.stopped_by == "running" else rescued(path.name, ("", write))
-                return "" if place is None else f"; the table is in '{place}' instead"
+                return "" if place is None else f"; it is in '{place}' instead"
 
             with writing.attempt(f"write '{path}'", rescue):
                 write(path)
@@ -195,9 +241,13 @@ class MeterTable(Product[Readings]):
         return result
 
 
-def check_table(path: PathLike) -> Path:
-    """The path of a table. Raises :class:`OptionError` for another suffix than ``.csv``."""
+def check_readings_file(path: PathLike, meters: Meters) -> Path:
+    """The path of a file of readings. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, and
+    for a picture of meters that are no grid."""
     checked = checked_path(path, "a table")
-    if checked.suffix.lower() != ".csv":
-        raise OptionError(f"readings are written as .csv, not as '{checked.name}'; change the name")
+    suffix = checked.suffix.lower()
+    if suffix not in (".csv", ".png"):
+        raise OptionError(f"readings are written as .csv or .png, not as '{checked.name}'; change the name")
+    if suffix == ".png" and meters.cells is None:
+        raise OptionError(_NO_GRID)
     return checked

@@ -149,7 +149,11 @@ from .solvers.system import (
     check_direct as check_direct,
     solve as solve,
 )
-from .solvers.values import check_colours as check_colours, radiosity_on as radiosity_on
+from .solvers.values import (
+    check_colours as check_colours,
+    irradiance_on as irradiance_on,
+    radiosity_on as radiosity_on,
+)
 from .sources import (
     PartSource as PartSource,
     PatchSource as PatchSource,

@@ -22,6 +22,7 @@ from .clients import Client
 from .comparing import Comparison
 from .protocol import number, numbers, text
 from .refining import Still, checked
+from .shown import LUMINANCE_LAYER
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -139,7 +140,7 @@ def _render(session: ViewerSession, client: Client, message: Mapping[str, Any]) 
 
 def _show(session: ViewerSession, client: Client, message: Mapping[str, Any]) -> None:
     shown = session.show.changed(message)
-    if "layer" in message and shown.layer not in {"image", *session.layers}:
+    if "layer" in message and shown.layer not in {"image", LUMINANCE_LAYER, *session.layers}:
         raise OptionError(f"there is no layer '{shown.layer}'; {suggest(shown.layer, session.layers)}")
     session.show = shown
     session.refresh()

@@ -12,13 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import OptionError
-from etendue.display import tonemap, write_png
+from etendue.display import luminance_picture, tonemap, write_png
 from etendue.engine import check_save_times
 from etendue.film import write_bytes
 from etendue.products import check_picture, limits_of, save_result
 from etendue.scene import MOVABLE, BundledScene, graph, is_sensor, locate, scene_xml
 
 from .refining import Refinement, Still
+from .shown import LUMINANCE_LAYER, luminances
 
 if TYPE_CHECKING:
     from .session import ViewerSession
@@ -85,6 +86,9 @@ def _save_picture(session: ViewerSession, path: Path) -> None:
         save_result(path, result)
     elif show.layer == "image":
         write_png(path, tonemap(show.picture(result.layers), show.stops(result.image), show.curve))
+    elif show.layer == LUMINANCE_LAYER:
+        low, high = luminances(show.stops(result.image))
+        write_png(path, luminance_picture(show.picture(result.layers), low=low, high=high))
     else:
         write_png(path, show.colours(result.layers, show.stops(result.image)))
 

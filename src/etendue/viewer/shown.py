@@ -25,16 +25,21 @@ from etendue.display import (
     parse_filters,
 )
 from etendue.film import ALBEDO, NORMAL, SHAPE, is_matte, is_variance
+from etendue.lighting import EFFICACY, photometric
 
 from .protocol import number, text
 
 Picture = NDArray[np.float32]
+#: What is chosen as a layer to see luminance in false colours.
+LUMINANCE_LAYER = "luminance in cd/m²"
 Bytes = NDArray[np.uint8]
 
 #: Automatic exposures use about so many pixels.
 _SAMPLES = 1 << 14
 #: Quality of JPEG while the camera moves, and afterwards.
 _MOVING_QUALITY, _QUALITY = 80, 92
+#: Black and yellow of luminance: these powers of two of the luminance that the exposure makes white.
+_LUMINANCES = -9, 3
 #: Relative squared errors and variances shown as black and as yellow.
 _SQUARES = 1e-4, 1.0
 
@@ -73,6 +78,8 @@ class Show:
 
     def colours(self, layers: Mapping[str, Picture], stops: float) -> Bytes:
         """The layer that is shown, as eight-bit colours. A missing layer is replaced by the picture."""
+        if self.layer == LUMINANCE_LAYER:
+            return false_colour(photometric(self.picture(layers)), *luminances(stops))
         name = self.layer if self.layer in layers else "image"
         if name == "image":
             return toned(self.picture(layers), stops, self.curve)
@@ -110,13 +117,21 @@ def choices() -> dict[str, Any]:
     """Tone curves and denoisers, for the page."""
     return {
         "curves": [{"name": c.name, "about": c.about} for c in CURVES.values()],
+        "luminance": {"layer": LUMINANCE_LAYER, "ends": luminances(0.0)},
         "denoisers": [{"name": d.name, "about": d.about, "needs": d.needs, "uses": d.uses} for d in DENOISERS.values()],
     }
 
 
+def luminances(stops: float) -> tuple[float, float]:
+    """The luminances in cd/m^2 that are black and yellow in false colours at an exposure."""
+    low, high = (EFFICACY * 2.0 ** (power - stops) for power in _LUMINANCES)
+    return low, high
+
+
 def layer_names(layers: Mapping[str, Picture]) -> list[str]:
-    """The layers that can be shown, the picture first, without the techniques of a pyramid."""
-    return [name for name in layers if not in_pyramid(name)]
+    """The layers that can be shown, the picture and its luminance first, without the techniques of a pyramid."""
+    names = [name for name in layers if not in_pyramid(name)] or ["image"]  # there is a preview before all layers
+    return [*names[:1], LUMINANCE_LAYER, *names[1:]]
 
 
 def toned(picture: Picture, stops: float, curve: str) -> Bytes:

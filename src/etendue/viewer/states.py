@@ -83,7 +83,7 @@ def state(session: ViewerSession) -> dict[str, Any]:
         "preparing": problem is not None and not (isinstance(session.main, Refinement) and session.main.passes),
         "show": vars(session.show),
         "filters": {name: vars(one) for name, one in session.show.filters().items()},
-        "layers": layer_names(session.layers) or ["image"],
+        "layers": layer_names(session.layers),
         "components": part_names(session.layers),
         "compared": session.compared.state() if session.compared is not None else None,
         "panels": {name: panel.state() for name, panel in session.panels.items()},

@@ -8,6 +8,7 @@ import { falseColourMapper, labelMapper, labelOf, plainMapper, toneMapper } from
 
 const ERROR = "error", OFFSET = 0.01; // that of relMSE
 const digits = (x) => (x === 0 ? "0" : Math.abs(x) < 1e-4 || Math.abs(x) >= 1e6 ? x.toExponential(2) : String(Number(x.toPrecision(3))));
+const inUnit = (text, layer) => (layer.unit ? `${text} ${layer.unit}` : text);
 
 /** Mean over channels of (x - reference)^2 / (reference^2 + 0.01). */
 const squaredError = (values, reference) => {
@@ -153,7 +154,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     scale.hidden = !scalar;
     if (scalar) {
       scale.firstElementChild.style.background = `linear-gradient(to right, ${data.colours.map((c) => `rgb(${c.join(" ")})`).join(", ")})`;
-      scale.querySelectorAll("span").forEach((span, i) => { span.textContent = digits(scalar.range[i]); });
+      scale.querySelectorAll("span").forEach((span, i) => { span.textContent = inUnit(digits(scalar.range[i]), scalar); });
     }
     const toned = layers.some((l) => l.kind === "radiance");
     root.querySelectorAll(".tone").forEach((control) => control.classList.toggle("idle", !toned));
@@ -212,7 +213,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     if (layer.kind === "label") return `${label(picture)}: ${labelOf(values, i) < 0 ? "none" : labelOf(values, i)}`;
     const shown = Array.from(values.subarray(layer.channels * i, layer.channels * (i + 1)));
     const scaled = layer.kind === "direction" ? shown.map((v) => 2 * v - 1) : shown;
-    return `${label(picture)}: ${scaled.map(digits).join("  ")}`;
+    return `${label(picture)}: ${inUnit(scaled.map(digits).join("  "), layer)}`;
   };
   /** The values under the probe, and the error there if a picture is shown. */
   const tell = async () => {

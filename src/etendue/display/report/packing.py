@@ -34,12 +34,14 @@ _MARGIN = 1.05
 @dataclass(frozen=True)
 class Layer:
     """A layer of a picture. ``values``: (height, width, 3), or (height, width) for scalars and labels. ``scale``: the
-    scalars shown as black and as yellow; by default the 1st and 99th percentile of positive values."""
+    scalars shown as black and as yellow; by default the 1st and 99th percentile of positive values. ``unit``: of
+    scalars, in the legend."""
 
     name: str
     kind: Kind
     values: Image
     scale: tuple[float, float] | None = None
+    unit: str = ""
 
     @classmethod
     def of(cls, name: str, values: Image) -> Layer | None:
@@ -121,7 +123,7 @@ def _data(layer: Layer, bits: int, block: int) -> dict[str, Any]:
         "block": block,
         "width": width,
         "height": height,
-        **({"range": layer.range} if layer.kind == "scalar" else {}),
+        **({"range": layer.range, "unit": layer.unit} if layer.kind == "scalar" else {}),
         "planes": base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode(),
     }
 

@@ -3,6 +3,7 @@
 from .base import PatchProduct as PatchProduct
 from .factors import FormFactorProduct as FormFactorProduct
 from .gathering import picture as picture
+from .illuminance import illuminance_text as illuminance_text
 from .saved import write_saved as write_saved
 from .solution_files import (
     ERROR_SCALE as ERROR_SCALE,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import OptionError, Progress, Result, is_whole, prepared
 from etendue.engine import Budget, RunError, Runner
 from etendue.methods import ImageMethod, ImageSettings, Path
-from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
+from etendue.radiosity import RadiosityError, Solution, check_colours, irradiance_on, radiosity_on
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues, check_place, solution_map
 from etendue.transport import CameraSampler
@@ -30,6 +30,7 @@ def picture(
     spp: int = 16,
     gather: int = 0,
     smooth: bool = True,
+    irradiance: bool = False,
     angle: float = 30.0,
     irradiance_error: ArrayLike | None = None,
     size: tuple[int, int] | None = None,
@@ -51,6 +52,8 @@ def picture(
     and ``map_after=1``: the materials and lights of the scene are used at the first surface that is not specular, and
     paths end at the next diffuse one, where the irradiance is that of the solution.
 
+    irradiance: show the irradiance of the visible surfaces instead of their radiance, and its error; without
+    ``gather``. The sky is black.
     irradiance_error: see :func:`save_solution`; adds the layer ``error``, the standard error of the radiance B / pi of
     the visible surfaces due to the lines. on_pass: called with the number of finished passes and of all passes.
 
@@ -65,6 +68,8 @@ def picture(
     error = None if irradiance_error is None else np.asarray(irradiance_error, dtype=np.float64)
     if error is not None and error.shape != solution.irradiance.shape:
         raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
+    if irradiance and gather:
+        raise OptionError("final gathering is of radiance: leave out gather for irradiance")
     if isinstance(scene, Problem) and (size is not None or sensor):
         raise OptionError("a loaded scene has its sensor and size: give these to etendue.scene.load")
     problem = scene if isinstance(scene, Problem) else load(scene, size=size, sensor=sensor, check=False)
@@ -77,12 +82,15 @@ def picture(
         method = Path(Path.Settings.from_mapping({"map_after": 1}))
         method.map = solution_map(solution, smooth, problem.space)
     else:
-        values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle)
-        method = _Seen(surfaces, values, solution.patches.sky)
+        on = irradiance_on if irradiance else radiosity_on
+        values = on(surfaces, solution, smooth=smooth, angle=angle)
+        factor, sky = (1.0, 0.0) if irradiance else (1.0 / np.pi, solution.patches.sky)
+        method = _Seen(surfaces, values, factor, sky)
     layers = {"image": _run(method, problem, gather or spp, seed, on_pass)}
     if error is not None:
-        reflected = SurfaceValues(surfaces, solution.patches.reflectance * error)
-        layers["error"] = _run(_Seen(surfaces, reflected), problem, min(spp, 16), seed)
+        shown = (error, 1.0) if irradiance else (solution.patches.reflectance * error, 1 / np.pi)
+        seen = _Seen(surfaces, SurfaceValues(surfaces, shown[0]), shown[1])
+        layers["error"] = _run(seen, problem, min(spp, 16), seed)
     known = {"method": method.name, "samples": gather or spp, "smooth": smooth, "patches": len(solution.patches)}
     return Result(layers, known)
 
@@ -109,15 +117,15 @@ def _run(
 
 
 class _Seen(ImageMethod):
-    """Values over pi at the first hit of camera rays, and those of the sky."""
+    """Values at the first hit of camera rays, and that of the sky, times a factor."""
 
     name: ClassVar[str] = "radiosity"
     Settings: ClassVar[type[ImageSettings]] = ImageSettings
 
-    def __init__(self, surfaces: PatchSurfaces, values: SurfaceValues, sky: ArrayLike = 0.0) -> None:
+    def __init__(self, surfaces: PatchSurfaces, values: SurfaceValues, factor: float, sky: ArrayLike = 0.0) -> None:
         super().__init__()
-        self._surfaces, self._values = surfaces, values
-        self._sky = [float(value) / np.pi for value in np.broadcast_to(sky, (3,))]
+        self._surfaces, self._values, self._factor = surfaces, values, factor
+        self._sky = [factor * float(value) for value in np.broadcast_to(sky, (3,))]
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. The scene may have no lights."""
@@ -131,7 +139,7 @@ class _Seen(ImageMethod):
         si = self.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
         hit, n = si.is_valid(), _towards(si, ray.d)
         dr.eval(si.p, n, hit, weight)
-        value = self._values.at(self._surfaces.find(si.p, n, hit, self.problem.space)) / np.pi
+        value = self._values.at(self._surfaces.find(si.p, n, hit, self.problem.space)) * self._factor
         image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)), seed, iteration)
         count = float(len(lanes))
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}

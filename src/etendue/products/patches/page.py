@@ -37,6 +37,7 @@ from etendue.engine import versions
 from etendue.film import write_bytes
 
 from ..pages.meshviews import mesh_views, on_pixels, seen_patches
+from .illuminance import illuminance_picture, illuminance_text
 
 if TYPE_CHECKING:
     from etendue.display import Part
@@ -70,10 +71,13 @@ def write_solution_page(
     problem: Problem | None,
     making: Making,
     picture: Result | None = None,
+    *,
+    photometric: bool = False,
 ) -> None:
-    """Write the page. ``error``: of the irradiance; ``picture``: a picture of the solution. Raises
-    :class:`OutputError` if the file cannot be written."""
-    write_bytes(path, render_solution_page(solution, error, metadata, problem, making, picture).encode())
+    """Write the page. ``error``: of the irradiance; ``picture``: a picture of the solution, if ``photometric`` of its
+    irradiance. Raises :class:`OutputError` if the file cannot be written."""
+    text = render_solution_page(solution, error, metadata, problem, making, picture, photometric=photometric)
+    write_bytes(path, text.encode())
 
 
 def render_solution_page(
@@ -83,19 +87,23 @@ def render_solution_page(
     problem: Problem | None,
     making: Making,
     picture: Result | None = None,
+    *,
+    photometric: bool = False,
 ) -> str:
     """The text of the page, see :func:`write_solution_page`."""
     patches = solution.patches
     source = str(metadata.get("source", "patches"))
     size = _WIDTH, _height(problem)
-    stacks, exposure = _stacks(solution, error, problem, size)
+    stacks, exposure = _stacks(solution, error, problem, size, photometric)
     page = Page(f"Radiosity of {Path(source).name}", _subtitle(solution))
-    page.verdict = [(words, False) for words in [_key_figures(solution, error)] if words]
+    page.verdict = [(words, False) for words in [_key_figures(solution, error, photometric)] if words]
     figures = [
         Figure(tonemap(s.layers[0].values, exposure), f"mesh, {s.name}", s.name, index=i) for i, s in enumerate(stacks)
     ]
     if picture is not None:
-        figures.append(Figure(tonemap(picture.image, "auto"), "picture of the solution", "picture", "smooth"))
+        shown = illuminance_picture(picture) if photometric else tonemap(picture.image, "auto")
+        name = "illuminance" if photometric else "picture"
+        figures.append(Figure(shown, f"{name} of the solution", name, "smooth"))
     page.add(
         "Mesh", Figures(figures), Text("Radiance of the patches; from outside, walls are seen through their backs.")
     )
@@ -122,7 +130,7 @@ def _height(problem: Problem | None) -> int:
 
 
 def _stacks(
-    solution: Solution, error: Array | None, problem: Problem | None, size: tuple[int, int]
+    solution: Solution, error: Array | None, problem: Problem | None, size: tuple[int, int], photometric: bool
 ) -> tuple[list[Stack], float]:
     """Views of the mesh with their layers, and the exposure that suits them."""
     patches, stacks = solution.patches, []
@@ -136,6 +144,10 @@ def _stacks(
             Layer("irradiance / π", "radiance", on_pixels(_colours(solution.irradiance) / np.pi, seen)),
             Layer("reflectance", "albedo", on_pixels(_colours(patches.reflectance), seen)),
         ]
+        if photometric:
+            layers.append(Layer("illuminance", "scalar", on_pixels(solution.illuminance, seen), unit="lx"))
+            luminance = on_pixels(solution.luminous_exitance / np.pi, seen)
+            layers.append(Layer("luminance", "scalar", luminance, unit="cd/m²"))
         if relative is not None:
             layers.append(Layer("relative standard error", "scalar", on_pixels(relative, seen), (1e-3, 1.0)))
         layers.append(Layer("residual", "scalar", on_pixels(left, seen), _scale(left)))
@@ -162,7 +174,7 @@ def _subtitle(solution: Solution) -> str:
     return ", ".join(parts)
 
 
-def _key_figures(solution: Solution, error: Array | None) -> str:
+def _key_figures(solution: Solution, error: Array | None, photometric: bool) -> str:
     parts = [f"imbalance of power {100 * solution.imbalance:.2g} %"]
     areas = solution.patches.areas[:, None]
     if error is not None and (light := float((areas * solution.irradiance).sum())) > 0.0:
@@ -170,6 +182,8 @@ def _key_figures(solution: Solution, error: Array | None) -> str:
     if solution.residuals:
         count = len(solution.residuals)
         parts.append(f"residual {solution.residual:.1g} after {count} iteration{'' if count == 1 else 's'}")
+    if photometric:
+        parts.insert(0, illuminance_text(solution))
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}."
 

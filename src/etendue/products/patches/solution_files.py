@@ -36,12 +36,15 @@ from etendue.scene import Problem
 from ..files import Writing
 from ..pictures import save_result
 from .gathering import PICTURE_FILES, picture
+from .illuminance import illuminance_picture
 from .page import PAGE_FILES, Making, write_solution_page
 
 #: Scale of error pictures: the relative standard errors shown as black and as yellow.
 ERROR_SCALE = (1e-3, 1.0)
 #: Value of ``uv`` for the scene's own texture coordinates.
 OWN = "scene"
+#: Suffixes of files of photometric numbers.
+_PHOTOMETRIC = (".vtu", ".npz", ".nc", ".png", *PAGE_FILES)
 #: Suffixes of meshes with vertex colours.
 _COLOURS = (".ply", ".glb", ".gltf")
 #: Suffixes of lightmaps and of their meshes.
@@ -64,6 +67,7 @@ class SolutionFiles:
     on their suffixes."""
 
     files: tuple[Path, ...] = ()
+    photometric: bool = False  #: illuminance as arrays, in pages, and as the picture, in false colours
     # Of pictures.
     size: tuple[int, int] | None = None
     sensor: int = 0
@@ -122,6 +126,7 @@ class SolutionFiles:
         for name, least in (("sensor", 0), ("gather", 0), ("spp", 1), ("lightmap_size", _LEAST_TEXELS)):
             if not is_whole(value := getattr(self, name)) or value < least:
                 raise OptionError(f"{name} is a whole number of at least {least}, not {value!r}")
+        self._check_photometric()
         given = next((name for name in ("gather", "size", "sensor") if getattr(self, name)), None)
         if given and not self.pictures:
             other = ", without a lightmap" if self.lightmap is not None else ""
@@ -132,6 +137,14 @@ class SolutionFiles:
             raise OptionError("uv is for lightmaps; ask for one")
         if self.uv is None and self.lightmap is not None and find_spec("xatlas") is None:
             raise BackendError("an atlas needs xatlas, not installed: pip install 'etendue[lightmap]', or give uv")
+
+    def _check_photometric(self) -> None:
+        if not self.photometric:
+            return
+        if other := next((path.name for path in self.files if path.suffix.lower() not in _PHOTOMETRIC), None):
+            raise OptionError(f"photometric numbers are written to {', '.join(_PHOTOMETRIC)}, not to '{other}'")
+        if wrong := next((name for name in ("gather", "lightmap") if getattr(self, name)), None):
+            raise OptionError(f"{wrong} is of radiance, photometric outputs are of illuminance: leave out one of them")
 
     def check_source(self, patches: Patches, problem: Problem | None) -> None:
         """Checks of the source and of texture coordinates, before lines are cast. Raises :class:`OptionError` for
@@ -144,6 +157,8 @@ class SolutionFiles:
         shown += [] if self.lightmap is None else ["a lightmap"]
         if shown and patches.channels not in (1, 3):
             raise RadiosityError(f"{shown[0]} shows one channel or three, not {patches.channels}; write .vtu or .npz")
+        if self.photometric and patches.channels not in (1, 3):
+            raise RadiosityError(f"luminance is that of one channel or three, not {patches.channels}; no photometric")
         if self.lightmap is not None and self.uv is not None:
             check_coordinates(self._coordinates(problem), (self.lightmap_size, self.lightmap_size))
 
@@ -173,7 +188,9 @@ class SolutionFiles:
         for path in self.files:
             if path not in (*self.pictures, *self.pages):
                 with writing.attempt(f"write '{path}'"):
-                    save_solution(path, solution, irradiance_error=error, metadata=metadata)
+                    save_solution(
+                        path, solution, irradiance_error=error, photometric=self.photometric, metadata=metadata
+                    )
         if self.pictures:
             with writing.attempt("make the picture"):
                 assert problem is not None  # see check_source
@@ -188,7 +205,9 @@ class SolutionFiles:
             with writing.attempt(f"write '{path}'"):
                 tell("writing the page")
                 made = replace(making or Making(), command=self.command)
-                write_solution_page(path, solution, error, metadata, problem, made, shown.picture)
+                write_solution_page(
+                    path, solution, error, metadata, problem, made, shown.picture, photometric=self.photometric
+                )
         return shown
 
     def _picture(
@@ -205,6 +224,7 @@ class SolutionFiles:
             spp=self.spp,
             gather=self.gather,
             smooth=self.smooth,
+            irradiance=self.photometric,
             irradiance_error=error,
             on_pass=lambda done, of: tell(f"rendering the picture: pass {done} of {of}"),
         )
@@ -213,7 +233,10 @@ class SolutionFiles:
     def _write_pictures(self, writing: Writing, made: Result, error: Array | None) -> None:
         for path in self.pictures:
             with writing.attempt(f"write '{path}'"):
-                save_result(path, made)
+                if self.photometric:
+                    write_png(path, illuminance_picture(made))
+                else:
+                    save_result(path, made)
         for path in self.error_pictures:
             with writing.attempt(f"write '{path}'"):
                 self.check_errors(error)

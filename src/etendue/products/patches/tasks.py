@@ -168,6 +168,7 @@ class SolutionRun(PatchRun):
 
     def source_of_files(self) -> PatchSource:
         """The source, if only files are to be written."""
+        self._check_light()
         return PatchSource(**self._given(), size=self.outputs.size, sensor=self.outputs.sensor, for_light=True)
 
     def asked(self, method: str | None = None) -> dict[str, Any]:
@@ -179,7 +180,12 @@ class SolutionRun(PatchRun):
         plain = {name: _given(value) for name, value in named.items()}
         return {name: value for name, value in plain.items() if value not in (None, False, {})}
 
+    def _check_light(self) -> None:
+        if self.outputs.photometric and self.mesh.get("temperature") is not None:
+            raise OptionError("photometric outputs are of light, and temperature makes heat: leave out one of them")
+
     def _check(self, method: str, at_once: bool) -> None:
+        self._check_light()
         if at_once:
             self._refuse_limits("an ambient solution")
         if self.solver in SOLUTIONS:

@@ -182,6 +182,9 @@ _MEANINGS = {
     "emission": ("light that the patch emits", _PER_AREA),
     "reflectance": ("share of the light that the patch reflects", _SHARE),
     "sky_share": ("share of the light of a patch that leaves the scene", _SHARE),
+    "illuminance": ("illuminance, 683 lm/W", "lx"),
+    "luminous_exitance": ("luminous exitance, 683 lm/W", "lm m-2"),
+    "illuminance_error": ("standard error of the illuminance, an upper estimate", "lx"),
     "irradiance_error": ("standard error of the irradiance", _PER_AREA),
     "radiosity_error": ("standard error of the radiosity", _PER_AREA),
 }

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import sparse
 from etendue.film import replacing
 from etendue.formats import far_centre, netcdf_library, save_arrays, view3d_lines, write_gltf, write_mesh
+from etendue.lighting import photometric as luminous
 from etendue.surfaces import face_sides, vertex_radiosity
 
 from ..errors import RadiosityError
@@ -145,6 +146,7 @@ def save_solution(
     *,
     irradiance_error: ArrayLike | None = None,
     angle: float = 30.0,
+    photometric: bool = False,
     metadata: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a solution by the suffix of ``path``.
@@ -161,9 +163,12 @@ def save_solution(
 
     irradiance_error: (n, c) standard error of the irradiance, such as ``solution.irradiance_error(segments)``; it is
     written to ``.npz``, ``.nc`` and ``.vtu``, and, times the reflectance, as ``radiosity_error``: the error of the last
-    bounce, which is nearly all of the error. metadata: values for JSON, for ``.npz``, ``.nc`` and glTF.
+    bounce, which is nearly all of the error. photometric: ``.npz``, ``.nc`` and ``.vtu`` also have ``illuminance`` in
+    lx, ``luminous_exitance`` in lm/m^2, and with an error ``illuminance_error``. metadata: values for JSON, for
+    ``.npz``, ``.nc`` and glTF.
 
     Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
+    :class:`etendue.lighting.LightingError` for channels without luminance,
     :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.
     """
     suffix = check_file(path, SOLUTION_FILES)
@@ -194,6 +199,12 @@ def save_solution(
         if error.shape != solution.irradiance.shape:
             raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
         by_patch |= {"irradiance_error": error, "radiosity_error": patches.reflectance * error}
+    if photometric:
+        by_patch |= {"illuminance": solution.illuminance, "luminous_exitance": solution.luminous_exitance}
+        if irradiance_error is not None:
+            by_patch["illuminance_error"] = luminous(irradiance_error)
+        units = {"illuminance": "lx", "luminous_exitance": "lm/m^2", "illuminance_error": "lx"}
+        metadata = {**(metadata or {}), "units": {name: units[name] for name in units if name in by_patch}}
     if suffix == ".nc":
         write_solution(path, solution, by_patch, metadata)
         return

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 import numpy as np
 
 from etendue.core import Array, InNotebooks, free_memory, short_repr
+from etendue.lighting import photometric
 from etendue.surfaces import AmbientTerm, Patches
 
 from ..ambient.spreading import spread
@@ -58,6 +59,16 @@ class Solution(InNotebooks):
     def residual(self) -> float:
         """The last residual; NaN for an ambient solution, which solves no system."""
         return self.residuals[-1] if self.residuals else float("nan")
+
+    @property
+    def illuminance(self) -> Array:
+        """(n,) in lx, see :func:`etendue.lighting.photometric`."""
+        return photometric(self.irradiance)
+
+    @property
+    def luminous_exitance(self) -> Array:
+        """(n,) in lm/m^2; divided by pi it is the luminance of the patches in cd/m^2."""
+        return photometric(self.radiosity)
 
     @cached_property
     def power(self) -> dict[str, Array]:

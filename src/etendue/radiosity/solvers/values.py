@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from etendue.surfaces import PatchSurfaces, SurfaceValues
 
 from ..errors import RadiosityError
@@ -21,6 +23,18 @@ def radiosity_on(
     if not smooth:
         return SurfaceValues(surfaces, solution.radiosity)
     return SurfaceValues(surfaces, patches.emission, patches.reflectance, solution.irradiance, angle)
+
+
+def irradiance_on(
+    surfaces: PatchSurfaces, solution: Solution, *, smooth: bool = True, angle: float = 30.0
+) -> SurfaceValues:
+    """The irradiance of a solution on its surfaces, interpolated or (``smooth=False``) that of the patch. Errors as
+    :func:`radiosity_on`."""
+    check_colours(solution)
+    if not smooth:
+        return SurfaceValues(surfaces, solution.irradiance)
+    nothing, whole = np.zeros((len(solution.patches), 1)), np.ones((len(solution.patches), 1))
+    return SurfaceValues(surfaces, nothing, whole, solution.irradiance, angle)
 
 
 def check_colours(solution: Solution) -> None:

@@ -1,5 +1,6 @@
 // The sections of the side bar that every session has: method, display, comparison, camera and files.
 
+import { legend } from './space/colours.js';
 import { choice, controls, entry, fillChoice, fillIn, isTyping, make, numeric, numerics } from './controls.js';
 
 const EVERY = ['max_depth', 'rr_depth', 'samples_per_pass', 'sampler', 'scrambling', 'reconstruction', 'aovs', 'components', 'cryptomatte', 'for_denoising'];
@@ -78,13 +79,19 @@ function display(parent, connection, section) {
   const exposure = make('input', { type: 'range', min: -10, max: 10, step: 0.25, 'aria-label': 'Exposure in stops',
     input: () => send({ exposure: Number(exposure.value) }) });
   let stops = 0;
+  // Of the luminance in false colours, whose scale follows the exposure.
+  const scale = make('div', { hidden: true });
+  let ends = [1, 1];
+  const showScale = (exposed) => scale.replaceChildren(
+    legend(make, 'Luminance in cd/m²', ends[0] * 2 ** -exposed, ends[1] * 2 ** -exposed, (v) => String(Number(v.toPrecision(2)))));
   connection.on('progress', (message) => {
+    showScale(message.exposure);
     if (!automatic.checked) return;
     stops = Math.round(message.exposure * 4) / 4;
     exposure.value = stops;
     output.textContent = message.exposure.toFixed(2);
   });
-  content.append(layer.element, denoise.element, make('div', { class: 'row' }, radius.element, strength.element), hint, single, curve.element,
+  content.append(layer.element, scale, denoise.element, make('div', { class: 'row' }, radius.element, strength.element), hint, single, curve.element,
     make('div', {}, make('div', { class: 'row' }, make('span', { class: 'grow soft' }, 'Exposure ', output, ' stops'),
       make('label', { class: 'check' }, automatic, make('span', {}, 'automatic'))), exposure));
   const row = (component) => {
@@ -105,8 +112,10 @@ function display(parent, connection, section) {
   };
   let rows = [];
   let built = '';
-  return ({ show, layers, components, curves, denoisers, ...state }) => {
+  return ({ show, layers, components, curves, denoisers, luminance, ...state }) => {
     filters = state.filters;
+    ends = luminance.ends;
+    scale.hidden = show.layer !== luminance.layer;
     const every = [...new Set([...components, ...Object.keys(filters).filter((name) => name)])];
     if (built !== every.join(' ')) {
       built = every.join(' ');
@@ -125,6 +134,7 @@ function display(parent, connection, section) {
     automatic.checked = show.exposure === 'auto';
     if (show.exposure !== 'auto') {
       stops = show.exposure;
+      showScale(stops);
       fillIn(exposure, stops);
       output.textContent = Number(stops).toFixed(2);
     }
