@@ -19,7 +19,7 @@ from etendue.lighting import Meters
 from etendue.scene import box
 
 from .measuring import Record, console, timed
-from .options import Seeds
+from .options import Names, Seconds, Seeds
 
 #: A room, its window, and a table and a cupboard in it, in metres; and the reflectances of floor, walls, ceiling, and
 #: of furniture.
@@ -154,3 +154,20 @@ def _peer(
 
 def _error(values: np.ndarray, reference: np.ndarray) -> float:
     return float(np.sqrt(np.mean((values - reference) ** 2) / np.mean(reference**2)))
+
+
+def grid(names: Names = "guided,path,bpt", seconds: Seconds = 60.0) -> Record:
+    """10,000 points on the work plane of the same room under an overcast sky."""
+    meters = Meters.grid((0.15, 0.15, 0.85), (_ROOM[0] - 0.3, 0, 0), (0, _ROOM[1] - 0.3, 0), (80, 125))
+    sky = {"type": "sky", "kind": 1, "diffuse_illuminance": 10_000.0}
+    record = Record("10,000 points under an overcast sky", ["method", "seconds", "paths", "error", "mean lux"])
+    for name in names:
+        read = etendue.measure(_scene(_surfaces()) | {"sky": sky}, meters, method=name, seconds=seconds)
+        lit = read.photometric > 0.0  # some are inside the cupboard
+        error = float(np.mean(read.photometric_error[lit] / read.photometric[lit]))
+        about = read.metadata
+        record.add(
+            name, f"{about['seconds']:.0f}", f"{about['samples']}", f"{error:.4f}", f"{read.photometric.mean():.1f}"
+        )
+    record.notes.append("The error is the mean over the points of standard error over reading.")
+    return record

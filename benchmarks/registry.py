@@ -69,6 +69,7 @@ PROGRAMS = {
                 Benchmark("prism", "spectral.prism", 15, "Error in the spectrum of a prism after a given time."),
                 Benchmark("cost-spectral", "spectral.cost", 3, "Seconds of a pass with wavelengths, beside RGB."),
                 Benchmark("daylight", "daylight.measure", 3, "Daylight coefficients beside rfluxmtx.", in_all=False),
+                Benchmark("lux-grid", "daylight.grid", 4, "10,000 points in a room under an overcast sky."),
                 Benchmark("rays", "rays.measure", 1, "Share of ray casting in a pass."),
                 Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),
