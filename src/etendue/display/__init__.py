@@ -1,4 +1,4 @@
-"""Display: denoising, tone curves, PNG, tev, convergence plots, projections of points, pages of runs."""
+"""Display: denoising, tone curves, false colours, PNG, tev, convergence plots, projections of points, pages of runs."""
 
 from typing import TYPE_CHECKING
 

@@ -160,7 +160,7 @@ def _cell(shape: tuple[int, ...], pixel: tuple[float, float]) -> tuple[int, int]
 
 def _lines(v: Array, level: float) -> list[Array]:
     """Lines in units of columns and rows, as far as the border: there the values go on unchanged."""
-    return [line - 1.0 for line in isolines(np.pad(np.clip(v, None, 1e30), 1, mode="edge"), level)]
+    return [line - 1.0 for line in isolines(np.pad(np.clip(v, -1e30, 1e30), 1, mode="edge"), level)]
 
 
 def _draw_lines(shown: Image.Image, lines: Sequence[Array], ink: tuple[int, int, int], width: float) -> None:
