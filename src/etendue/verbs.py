@@ -271,6 +271,9 @@ def compute_form_factors(
     estimator: str | None = None,
     objects: Any = None,
     walls: Sequence[str | int] | None = None,
+    row_sums: bool = False,
+    reciprocal: bool = False,
+    threshold: float = 0.0,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -298,6 +301,9 @@ def compute_form_factors(
         default F1, or F4 with ``spheres``.
     objects, walls: for ``spheres``, what makes an object and which objects are walls, see
         :func:`etendue.radiosity.find_objects`; or the name of an array of the mesh file.
+    row_sums, reciprocal, threshold: rows that sum to exactly 1, with the sky; ``A_i F_ij = A_j F_ji``; factors below
+        the threshold dropped. See :func:`etendue.radiosity.corrected`, and ``correction`` of the result for what that
+        changed; a warning is given if it is more than errors explain.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles.
     save: files for the form factors, ``.npz``, ``.nc`` or ``.vf``.
@@ -318,6 +324,9 @@ def compute_form_factors(
         parameters=parameters,
         objects=objects,
         walls=walls,
+        row_sums=row_sums,
+        reciprocal=reciprocal,
+        threshold=threshold,
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),

@@ -160,6 +160,8 @@ def _describe_segments(bundles: int, segments: Segments) -> None:
 
 def _describe_factors(product: FormFactorProduct, result: FormFactorResult) -> None:
     factors = result.factors
+    if result.correction is not None:
+        _note(str(result.correction))
     if result.stopped_by == "exact":
         sky = (result.patches.areas * factors.sky).sum() / result.patches.areas.sum()
         open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""

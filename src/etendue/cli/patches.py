@@ -127,6 +127,24 @@ def form_factors(
             "--estimator", help="F1, F2, F3, F4, reciprocal or pooled; F1, or F4 with spheres.", metavar="NAME"
         ),
     ] = None,
+    row_sums: Annotated[
+        bool, typer.Option("--row-sums", help="Every row sums to exactly 1, with the share of the sky.")
+    ] = False,
+    reciprocal: Annotated[
+        bool,
+        typer.Option(
+            "--reciprocal",
+            help="A_i F_ij = A_j F_ji exactly; with --row-sums both, by the smallest relative change.",
+        ),
+    ] = False,
+    threshold: Annotated[
+        float,
+        typer.Option(
+            "--threshold",
+            help="Drop smaller form factors; --row-sums returns their share to the row, otherwise it is missing.",
+            metavar="X",
+        ),
+    ] = 0.0,
     objects: ObjectsBy = None,
     walls: Annotated[
         str | None,
@@ -168,6 +186,9 @@ def form_factors(
         settings=settings_in(define),
         limits=opt.limits(time, error, bundles=bundles),
         estimator=estimator,
+        row_sums=row_sums,
+        reciprocal=reciprocal,
+        threshold=threshold,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,

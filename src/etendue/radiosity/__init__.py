@@ -49,6 +49,11 @@ from .balance import check_balance as check_balance, is_balanced as is_balanced
 from .casting import REPLICATES as REPLICATES, CastingSettings as CastingSettings, LineCasting as LineCasting
 from .castlines import CastLines as CastLines
 from .errors import RadiosityError as RadiosityError
+from .factors.corrections import (
+    Correction as Correction,
+    check_threshold as check_threshold,
+    corrected as corrected,
+)
 from .factors.exact import exact_form_factors as exact_form_factors
 from .factors.formfactors import (
     ESTIMATORS as ESTIMATORS,

@@ -13,6 +13,8 @@ from etendue.engine import Job, RunResult, Task, silent
 from etendue.radiosity import (
     ESTIMATORS,
     FORM_FACTOR_FILES,
+    Correction,
+    FormFactors,
     HierarchicalCasting,
     LineCasting,
     PartialSegments,
@@ -20,6 +22,8 @@ from etendue.radiosity import (
     PatchSource,
     check_file,
     check_text_size,
+    check_threshold,
+    corrected,
     entry_bytes,
     exact_form_factors,
     form_factors,
@@ -34,18 +38,23 @@ from .base import PatchProduct
 
 @dataclass(kw_only=True)
 class FormFactorProduct(PatchProduct[FormFactorResult]):
-    """Form factors by an ``estimator``, see :func:`etendue.radiosity.estimate`, and their ``outputs``."""
+    """Form factors by an ``estimator``, see :func:`etendue.radiosity.estimate`, and their ``outputs``; ``row_sums``,
+    ``reciprocal`` and ``threshold`` are corrections, see :func:`etendue.radiosity.corrected`."""
 
     kind: ClassVar[str] = "form factors"
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
 
     estimator: str = "F1"
+    row_sums: bool = False
+    reciprocal: bool = False
+    threshold: float = 0.0
     outputs: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.estimator not in ESTIMATORS:
             raise OptionError(f"there is no estimator '{self.estimator}'; {suggest(self.estimator, ESTIMATORS)}")
+        check_threshold(self.threshold)
         for path in self.outputs:
             check_file(path, FORM_FACTOR_FILES)
 
@@ -67,8 +76,20 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
 
     def notes(self) -> dict[str, Any]:
         """See :class:`Product`."""
-        known = {"estimator": self.estimator, "outputs": [str(path.absolute()) for path in self.outputs]}
+        known = {"estimator": self.estimator, **self._asked, "outputs": [str(path.absolute()) for path in self.outputs]}
         return {"product": {"kind": self.kind, **known}}
+
+    @property
+    def _asked(self) -> dict[str, Any]:
+        """The corrections that are asked for."""
+        named = {name: getattr(self, name) for name in ("row_sums", "reciprocal", "threshold")}
+        return {name: value for name, value in named.items() if value}
+
+    def _corrected(self, factors: FormFactors) -> tuple[FormFactors, Correction | None]:
+        if not self._asked:
+            return factors, None
+        made = corrected(factors, **self._asked)
+        return made.factors, made
 
     def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, **own: Any) -> LineCasting:
         if issubclass(kind, HierarchicalCasting):
@@ -79,13 +100,14 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def _make(self, job: Job, run: RunResult, writing: Writing, tell: Callable[[str], object]) -> FormFactorResult:
         bundles, segments = self._counted(job, run, tell)
         make: Any = partial_form_factors if isinstance(segments, PartialSegments) else form_factors
-        factors = make(segments, self.estimator)
-        known = self._metadata(job, bundles=bundles, estimator=self.estimator)
+        factors, correction = self._corrected(make(segments, self.estimator))
+        known = self._metadata(job, bundles=bundles, estimator=self.estimator, **self._asked)
         patches = job.problem.patches
         self._write(writing, patches, factors, known)
         return FormFactorResult(
             patches=patches,
             factors=factors,
+            correction=correction,
             segments=segments,
             bundles=bundles,
             stopped_by=str(run.stopped_by),
@@ -101,11 +123,13 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         on_patches(problem.patches)
         tell("integrating over contours")
         begin = time.perf_counter()
-        factors = exact_form_factors(problem.patches)
+        factors, correction = self._corrected(exact_form_factors(problem.patches))
         elapsed, writing = time.perf_counter() - begin, Writing()
-        self._write(writing, problem.patches, factors, about(problem.source, estimator="exact"))
+        self._write(writing, problem.patches, factors, about(problem.source, estimator="exact", **self._asked))
         writing.finish()
-        return FormFactorResult(patches=problem.patches, factors=factors, stopped_by="exact", elapsed=elapsed)
+        return FormFactorResult(
+            patches=problem.patches, factors=factors, correction=correction, stopped_by="exact", elapsed=elapsed
+        )
 
     def _write(self, writing: Writing, patches: Any, factors: Any, known: dict[str, Any]) -> None:
         for path in self.outputs:

@@ -94,6 +94,9 @@ class FactorRun(PatchRun):
 
     estimator: str | None = None
     walls: Any = None
+    row_sums: bool = False
+    reciprocal: bool = False
+    threshold: float = 0.0
     outputs: tuple[Path, ...] = ()
 
     def task(self) -> Task | AtOnce:
@@ -107,7 +110,9 @@ class FactorRun(PatchRun):
             self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
         source = PatchSource(**self._given(), walls=self.walls)
         estimator = self.estimator or ("F4" if around else "F1")
-        product = FormFactorProduct(**self._common(method), estimator=estimator, outputs=self.outputs)
+        names = ("row_sums", "reciprocal", "threshold", "outputs")
+        asked = {name: getattr(self, name) for name in names}
+        product = FormFactorProduct(**self._common(method), estimator=estimator, **asked)
         if method == EXACT:
             self._refuse_limits("method exact")
             product.check_files(False)

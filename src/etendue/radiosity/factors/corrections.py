@@ -1,0 +1,147 @@
+"""Form factors with exact row sums, exact reciprocity and without small entries, and what that changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from etendue.core import Array, OptionError, logger
+
+from .formfactors import FormFactors, entries_of
+
+#: A change is a fault of the factors if it is above this, and above this multiple of the standard error. Programs that
+#: read view factors accept rows that are off by a thousandth.
+_MOST, _ERRORS = 1e-3, 5.0
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Corrected form factors, and how they differ from those before.
+
+    ``off``: the largest deviation of a row sum, with the shares of the sky and of backs, from 1. ``largest``, ``rms``:
+    change of the factors that are left, the shares of the sky included. ``off_in_errors``, ``largest_in_errors``,
+    ``rms_in_errors``: the same in standard errors; ``None`` if no error is known, as of exact factors. ``dropped``: the
+    number of factors below the threshold; ``dropped_share``: the largest sum of these in a row. ``is_sound``: whether
+    all changes may be due to the standard errors.
+    """
+
+    factors: FormFactors
+    off: float
+    largest: float
+    rms: float
+    off_in_errors: float | None
+    largest_in_errors: float | None
+    rms_in_errors: float | None
+    dropped: int
+    dropped_share: float
+    is_sound: bool
+
+    def __str__(self) -> str:
+        """One line."""
+        errors = "their standard errors are not known"
+        if self.largest_in_errors is not None and self.rms_in_errors is not None:
+            errors = f"{self.largest_in_errors:.2g} and {self.rms_in_errors:.2g} of their standard errors"
+        words = f"rows were off by at most {self.off:.2g}, factors change by at most {self.largest:.2g}, "
+        words += f"rms {self.rms:.2g} ({errors})"
+        if self.dropped:
+            words += f"; {self.dropped} small ones dropped, at most {self.dropped_share:.2g} of a row"
+        return words
+
+
+def check_threshold(threshold: float) -> None:
+    """Raise :class:`OptionError` unless ``threshold`` is at least 0 and below 1."""
+    if not 0 <= threshold < 1:
+        raise OptionError(f"the threshold of form factors is at least 0 and below 1, not {threshold!r}")
+
+
+def corrected(
+    factors: FormFactors, *, row_sums: bool = False, reciprocal: bool = False, threshold: float = 0.0
+) -> Correction:
+    """Correct form factors, and compare the changes with the standard errors.
+
+    row_sums: every row sums to 1, with the shares of the sky and of backs. reciprocal: ``A_i F_ij = A_j F_ji``. Both
+    together are :meth:`FormFactors.repaired`, the smallest relative change. threshold: smaller factors are dropped
+    before, with ``reciprocal`` those that are smaller in both directions; ``row_sums`` returns their share to the other
+    entries of the row, otherwise it is missing.
+
+    A change beyond the standard errors, such as that of rows that sum to 1.09, is a fault of the factors that the
+    correction would hide: a warning tells it. Rows without entries cannot be corrected: a warning names the first.
+    Raises :class:`OptionError` for a threshold outside [0, 1), and the errors of :meth:`FormFactors.repaired`.
+    """
+    check_threshold(threshold)
+    both = factors.reciprocal() if reciprocal else factors
+    made = both.truncated(threshold, pairs=reciprocal) if threshold > 0 else both
+    dropped = np.asarray((both.matrix - made.matrix).sum(axis=1)).ravel()
+    count = int(both.matrix.nnz - made.matrix.nnz)
+    if row_sums:
+        made = made.repaired() if reciprocal else made.normalised()
+        _warn_of_empty_rows(made)
+    off, off_errors = _rows(factors)
+    changes, errors = _changes(factors, made, off_errors)
+    # Rows that lost their small entries change by more than their noise, as asked for.
+    allowed = np.maximum(_MOST, _ERRORS * errors) + dropped.max(initial=0.0)
+    wrong = row_sums & (off > np.maximum(_MOST, _ERRORS * off_errors))
+    is_sound = not wrong.any() and not (changes > allowed).any()
+    if not is_sound:
+        row = int(np.argmax(np.where(wrong, off, 0.0)))
+        logger.warning(
+            "%s, far more than its standard error: a correction hides this and does not mend it; look for faces that "
+            "are turned the wrong way or lie on each other (etendue.radiosity.diagnose)",
+            f"the row of patch {row} is off by {off[row]:.2g}"
+            if wrong.any()
+            else f"a form factor changes by {changes.max():.2g}",
+        )
+    ratios = _in_errors(changes, errors)
+    row_ratios = _in_errors(off, off_errors)
+    return Correction(
+        factors=made,
+        off=float(off.max(initial=0.0)),
+        largest=float(changes.max(initial=0.0)),
+        rms=_rms(changes),
+        off_in_errors=float(row_ratios.max()) if len(row_ratios) else None,
+        largest_in_errors=float(ratios.max()) if len(ratios) else None,
+        rms_in_errors=_rms(ratios) if len(ratios) else None,
+        dropped=count,
+        dropped_share=float(dropped.max(initial=0.0)),
+        is_sound=is_sound,
+    )
+
+
+def _rows(factors: FormFactors) -> tuple[Array, Array]:
+    """Deviations of row sums from 1, zero for rows without entries, and their standard errors, 0 if not known."""
+    sums = factors.row_sums() + factors.dark
+    off = np.where(sums > 0, np.abs(sums - 1), 0.0)
+    # The sum is that of all lines through a patch, whose number has the variance of a count.
+    return off, np.sqrt(inverse(np.asarray(factors.lines, dtype=np.float64)))
+
+
+def _changes(before: FormFactors, after: FormFactors, row_errors: Array) -> tuple[Array, Array]:
+    """Changes of the factors that are left, and of the shares of the sky, and their standard errors, 0 if not known.
+    ``row_errors``: relative ones of the number of lines, which errors of large factors do not contain."""
+    entries, sky = after.matrix.tocoo(), np.flatnonzero(before.sky)
+    was, *errors = (entries_of(x, entries.row, entries.col) for x in (before.matrix, before.errors, after.errors))
+    errors.append(was * row_errors[entries.row])
+    of_sky = np.sqrt(before.sky[sky]) * row_errors[sky]
+    changes = np.concatenate([entries.data - was, (after.sky - before.sky)[sky]])
+    return np.abs(changes), np.concatenate([np.max(errors, axis=0), of_sky])
+
+
+def _in_errors(values: Array, errors: Array) -> Array:
+    """``values`` in standard errors, where these are known."""
+    known = errors > 0
+    return np.asarray(values[known] / errors[known])
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def _warn_of_empty_rows(factors: FormFactors) -> None:
+    empty = np.flatnonzero((factors.row_sums() + factors.dark == 0) & (factors.areas > 0))
+    if len(empty):
+        logger.warning(
+            "%d rows are empty and cannot sum to 1, the first is that of patch %d: cast more lines, or lower the "
+            "threshold",
+            *(len(empty), empty[0]),
+        )
