@@ -12,6 +12,7 @@ import pytest
 from support.patches import box, joined
 
 from etendue.cli.main import main
+from etendue.radiosity import read_form_factors
 
 meshio = pytest.importorskip("meshio")
 sparse = pytest.importorskip("scipy.sparse")
@@ -59,6 +60,26 @@ def test_form_factors_of_a_mesh(capsys):
     np.testing.assert_allclose(areas[:, None] * first, (areas[:, None] * first).T, atol=1e-12)
     assert run(command) == 0  # the same seed, the same lines
     np.testing.assert_array_equal(sparse.load_npz("f.npz").todense(), first)
+
+
+@pytest.mark.parametrize("options", ["--row-sums", "--reciprocal", "--row-sums --reciprocal --threshold 0.001"])
+def test_corrected_form_factors(capsys, options):
+    write_room("open.ply", walls=5)
+    command = f"form-factors open.ply -o f.npz --bundles 64 {options}"
+    assert run(f"{command} --checkpoint c") == 0
+    err = capsys.readouterr().err
+    assert re.search(
+        r"rows were off by at most \S+, factors change by at most \S+, rms \S+ \(\S+ and \S+ of their", err
+    )
+    assert ("small ones dropped" in err) == ("threshold" in options) and "warning" not in err
+    made = read_form_factors("f.npz")
+    if "row-sums" in options:
+        np.testing.assert_allclose(made.row_sums(), 1, rtol=1e-9)
+    if "reciprocal" in options:
+        assert made.reciprocity_error() < 1e-9
+    Path("f.npz").unlink()
+    assert run("resume c --bundles 64") == 0  # the same corrections
+    np.testing.assert_array_equal(read_form_factors("f.npz").matrix.todense(), made.matrix.todense())
 
 
 def test_form_factors_as_text_of_an_open_mesh_of_sheets(capsys):
@@ -149,6 +170,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply -o ''", "take .npz, .vf"),
         ("form-factors room.ply --checkpoint c --no-checkpoint", "exclude each other"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
+        ("form-factors room.ply --threshold 2", "at least 0 and below 1"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
         ("form-factors room.ply -m exact --bundles 8", "method exact: no lines are cast, so leave out bundles"),
         ("form-factors room.ply --bundles 0", "'--bundles': 0"),

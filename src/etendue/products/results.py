@@ -10,7 +10,16 @@ from etendue.core import InNotebooks
 if TYPE_CHECKING:
     from etendue.core import Array, Result
     from etendue.distributed import Correspondence
-    from etendue.radiosity import Correction, FirstShot, FormFactors, HierarchicalSolution, Lightmap, Patches, Segments, Solution
+    from etendue.radiosity import (
+        Correction,
+        FirstShot,
+        FormFactors,
+        HierarchicalSolution,
+        Lightmap,
+        Patches,
+        Segments,
+        Solution,
+    )
 
 
 @dataclass(kw_only=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from etendue.core import Array, OptionError, logger
 
-from .formfactors import FormFactors, entries_of
+from .formfactors import FormFactors, entries_of, inverse
 
 #: A change is a fault of the factors if it is above this, and above this multiple of the standard error. Programs that
 #: read view factors accept rows that are off by a thousandth.
@@ -118,13 +118,14 @@ def _rows(factors: FormFactors) -> tuple[Array, Array]:
 
 def _changes(before: FormFactors, after: FormFactors, row_errors: Array) -> tuple[Array, Array]:
     """Changes of the factors that are left, and of the shares of the sky, and their standard errors, 0 if not known.
-    ``row_errors``: relative ones of the number of lines, which errors of large factors do not contain."""
+    ``row_errors``: relative ones of the number of lines; a factor F has that of a count, sqrt(F) times as large, also
+    where no line has found it."""
     entries, sky = after.matrix.tocoo(), np.flatnonzero(before.sky)
-    was, *errors = (entries_of(x, entries.row, entries.col) for x in (before.matrix, before.errors, after.errors))
-    errors.append(was * row_errors[entries.row])
+    was, error = (entries_of(x, entries.row, entries.col) for x in (before.matrix, before.errors))
+    counted = np.sqrt(np.maximum(was, entries.data)) * row_errors[entries.row]
     of_sky = np.sqrt(before.sky[sky]) * row_errors[sky]
     changes = np.concatenate([entries.data - was, (after.sky - before.sky)[sky]])
-    return np.abs(changes), np.concatenate([np.max(errors, axis=0), of_sky])
+    return np.abs(changes), np.concatenate([np.maximum(error, counted), of_sky])
 
 
 def _in_errors(values: Array, errors: Array) -> Array:

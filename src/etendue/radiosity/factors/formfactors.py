@@ -98,15 +98,20 @@ class FormFactors(InNotebooks):
         return replace(self, matrix=matrix, errors=errors, sky=self.sky * scale, dark=self.dark * scale)
 
     def reciprocal(self) -> FormFactors:
-        """Form factors with ``A_i F_ij = A_j F_ji``: the mean of both. The error of ``A_i F_ij`` is the larger one of both
-        directions. Row sums change."""
-        exchange = self._exchange()
-        mean = ((exchange + exchange.T) / 2).tocoo()
-        of_exchange = (_diagonal(self.areas) @ self.errors).tocsr()
-        errors = mean.copy()
-        errors.data = entries_of(of_exchange.maximum(of_exchange.T.tocsr()), mean.row, mean.col)
-        per_area = _diagonal(inverse(self.areas))
-        return replace(self, matrix=(per_area @ mean).tocsr(), errors=(per_area @ errors).tocsr())
+        """Form factors with ``A_i F_ij = A_j F_ji``: the mean of both, weighted by the lines per area of the patches as
+        in the estimator ``pooled``, so that the one with less noise counts more. The error is the mean of both errors,
+        as if they had the same lines. Row sums change."""
+        density = np.asarray(self.lines, dtype=np.float64) * inverse(self.areas)
+        # Exact factors have no lines; if only some rows have lines, the others hardly count.
+        density = np.maximum(density, 1e-12 * density.max()) if density.any() else np.ones(len(density))
+        exchange, errors = (_diagonal(density * self.areas) @ x for x in (self.matrix, self.errors))
+        mean = (exchange + exchange.T).tocoo()
+        noise = entries_of((errors + errors.T).tocsr(), mean.row, mean.col)
+        scale = self.areas[mean.row] * (density[mean.row] + density[mean.col])
+        matrix, errors = (
+            sparse().coo_array((data / scale, mean.coords), shape=mean.shape).tocsr() for data in (mean.data, noise)
+        )
+        return replace(self, matrix=matrix, errors=errors)
 
     def truncated(self, threshold: float, *, pairs: bool = False) -> FormFactors:
         """Form factors without those below ``threshold``. pairs: a factor stays if the one of the opposite direction,
@@ -127,10 +132,10 @@ class FormFactors(InNotebooks):
         """Form factors with every row sum 1, together with the share on backs of faces, and ``A_i F_ij = A_j F_ji``, by
         the smallest change.
 
-        The mean of ``A_i F_ij`` and ``A_j F_ji``, the shares of the sky and of backs are changed with the smallest
-        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both
-        directions. Rows without entries stay as they are. Raises :class:`RadiosityError` if a factor would become
-        negative, which means that there are too few lines, and if no factors in place of these have both properties.
+        The mean of ``A_i F_ij`` and ``A_j F_ji`` (:meth:`reciprocal`), the shares of the sky and of backs are changed
+        with the smallest relative sum of squares, so that zeros remain zero. Errors stay those of the mean. Rows
+        without entries stay as they are. Raises :class:`RadiosityError` if a factor would become negative, which means
+        that there are too few lines, and if no factors with these zeros have both properties.
         """
         from scipy.sparse.linalg import lsmr
 
