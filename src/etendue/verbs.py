@@ -274,6 +274,7 @@ def compute_form_factors(
     row_sums: bool = False,
     reciprocal: bool = False,
     threshold: float = 0.0,
+    groups: bool = False,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -304,9 +305,11 @@ def compute_form_factors(
     row_sums, reciprocal, threshold: rows that sum to exactly 1, with the sky; ``A_i F_ij = A_j F_ji``; factors below
         the threshold dropped. See :func:`etendue.radiosity.corrected`, and ``correction`` of the result for what that
         changed; a warning is given if it is more than errors explain.
+    groups: also the factors between groups of patches, ``groups`` of the result; they are what files contain. A group
+        has the name of a shape, or, in a mesh without names, a label. See :func:`etendue.radiosity.between_groups`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles.
-    save: files for the form factors, ``.npz``, ``.nc`` or ``.vf``.
+    save: files for the form factors, in the formats of :func:`etendue.radiosity.save_form_factors`.
     checkpoint: with it, lines are stored in a folder beside it instead of memory.
 
     The other arguments and the errors are those of :func:`render`. If the lines cannot be evaluated, the error says
@@ -327,6 +330,7 @@ def compute_form_factors(
         row_sums=row_sums,
         reciprocal=reciprocal,
         threshold=threshold,
+        groups=groups,
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),

@@ -165,7 +165,7 @@ def test_one_bundle_has_no_error(capsys, variant):
     ("command", "message"),
     [
         ("form-factors nothing.ply", "there is no mesh file nothing.ply"),
-        ("form-factors room.ply -o f.csv", "take .npz, .vf"),
+        ("form-factors room.ply -o f.txt", "take .npz, .vf"),
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
         ("form-factors room.ply -o ''", "take .npz, .vf"),
         ("form-factors room.ply --checkpoint c --no-checkpoint", "exclude each other"),

@@ -18,7 +18,9 @@ FactorFiles = Annotated[
     typer.Option(
         "-o",
         "--output",
-        help=".npz or .nc (arrays), .vf (View3D's text); repeatable. By default factors.npz.",
+        help=".npz, .nc (arrays), .csv (a table by names), .vf (View3D), .idf, .epjson (EnergyPlus), .i (MOOSE); or "
+        "by name vfsparse.inp.NNN, svf.inp.NNN, vf.nc.inp.NNN (uDALES), ViewFactors.dat (Elmer), F, globalFaceFaces "
+        "(OpenFOAM); repeatable. By default factors.npz.",
         metavar="FILE",
     ),
 ]
@@ -145,6 +147,13 @@ def form_factors(
             metavar="X",
         ),
     ] = 0.0,
+    groups: Annotated[
+        bool,
+        typer.Option(
+            "--groups",
+            help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
+        ),
+    ] = False,
     objects: ObjectsBy = None,
     walls: Annotated[
         str | None,
@@ -189,6 +198,7 @@ def form_factors(
         row_sums=row_sums,
         reciprocal=reciprocal,
         threshold=threshold,
+        groups=groups,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,

@@ -31,6 +31,8 @@ class FormFactorResult(InNotebooks):
     factors: FormFactors
     #: What ``row_sums``, ``reciprocal`` and ``threshold`` changed, if they were asked for.
     correction: Correction | None = None
+    #: The factors between groups, if they were asked for.
+    groups: FormFactors | None = None
     segments: Segments | None = None
     #: Bundles that were cast.
     bundles: int = 0

@@ -97,6 +97,7 @@ class FactorRun(PatchRun):
     row_sums: bool = False
     reciprocal: bool = False
     threshold: float = 0.0
+    groups: bool = False
     outputs: tuple[Path, ...] = ()
 
     def task(self) -> Task | AtOnce:
@@ -110,7 +111,7 @@ class FactorRun(PatchRun):
             self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
         source = PatchSource(**self._given(), walls=self.walls)
         estimator = self.estimator or ("F4" if around else "F1")
-        names = ("row_sums", "reciprocal", "threshold", "outputs")
+        names = ("row_sums", "reciprocal", "threshold", "groups", "outputs")
         asked = {name: getattr(self, name) for name in names}
         product = FormFactorProduct(**self._common(method), estimator=estimator, **asked)
         if method == EXACT:
