@@ -82,6 +82,36 @@ def test_corrected_form_factors(capsys, options):
     np.testing.assert_array_equal(read_form_factors("f.npz").matrix.todense(), made.matrix.todense())
 
 
+def test_factors_between_groups_for_other_programs(capsys):
+    """Shapes of a scene by their names, each with several patches; the checkpoint keeps what was asked for."""
+    outputs = "-o 'Zone 1.idf' -o box.i -o f.csv -o f.npz -o constant/F -o constant/globalFaceFaces"
+    Path("constant").mkdir()
+    assert run(f"form-factors cornell-box --groups --bundles 32 --max-area 0.5 {outputs} --checkpoint c") == 0
+    capsys.readouterr()
+    made = read_form_factors("f.npz")
+    assert made.name.tolist()[:3] == ["light", "floor", "ceiling"] and len(made) == 8
+    assert (
+        Path("f.csv").read_text().startswith("name,light,floor,ceiling,back,green-wall,red-wall,small-box,")
+    )
+    text = Path("Zone 1.idf").read_text()
+    assert text.startswith("ZoneProperty:UserViewFactors:BySurfaceName,\n  Zone 1,\n") and text.count("\n") == 66
+    assert "boundary = 'light floor" in Path("box.i").read_text()
+    assert Path("constant/F").read_text().splitlines()[9] == "8"
+    first = Path("f.csv").read_bytes()
+    assert run("resume c --bundles 32 -o again.csv") == 0
+    assert Path("again.csv").read_bytes() == first
+
+
+def test_form_factors_for_udales(capsys):
+    write_room("open.ply", walls=5)
+    outputs = "-o vfsparse.inp.001 -o svf.inp.001 -o vf.nc.inp.001"
+    assert run(f"form-factors open.ply --bundles 64 --row-sums --reciprocal --threshold 5e-7 {outputs}") == 0
+    assert capsys.readouterr().out.split() == outputs.split()[1::2]
+    i, _, factors = np.loadtxt("vfsparse.inp.001").T
+    sky = np.loadtxt("svf.inp.001", skiprows=1)
+    np.testing.assert_allclose(np.bincount(i.astype(int) - 1, factors) + sky, 1, atol=1e-6)
+
+
 def test_form_factors_as_text_of_an_open_mesh_of_sheets(capsys):
     write_room("open.ply", walls=5)
     assert run("form-factors open.ply -o f.vf --bundles 16 --two-sided --max-area 0.3") == 0
@@ -170,6 +200,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply -o ''", "take .npz, .vf"),
         ("form-factors room.ply --checkpoint c --no-checkpoint", "exclude each other"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
+        ("form-factors room.ply -o zone.idf", "knows surfaces by names"),
         ("form-factors room.ply --threshold 2", "at least 0 and below 1"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
         ("form-factors room.ply -m exact --bundles 8", "method exact: no lines are cast, so leave out bundles"),

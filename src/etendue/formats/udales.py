@@ -34,11 +34,11 @@ def udales_sky_lines(sky: Array) -> Iterator[str]:
 
 
 def write_udales_netcdf(path: str | os.PathLike[str], matrix: scipy.sparse.csr_array) -> None:
-    """Write ``vf.nc.inp.NNN``: netCDF of the classic format with the variable ``view factor`` (rows, columns) in single
+    """Write ``vf.nc.inp.NNN``: netCDF of the classic format with the variable ``view factor`` (columns, rows) in single
     precision: the transpose of ``matrix`` (n, n), as in the files of uDALES."""
     netcdf = library("scipy.io", f"the netCDF file {path}")
     dense = np.ascontiguousarray(matrix.T.toarray(), dtype=">f4")
     with replacing(path) as part, netcdf.netcdf_file(str(part), "w", mmap=False, version=2) as file:
         file.createDimension("rows", len(dense))
         file.createDimension("columns", len(dense))
-        file.createVariable("view factor", "f4", ("rows", "columns"))[:] = dense
+        file.createVariable("view factor", "f4", ("columns", "rows"))[:] = dense
