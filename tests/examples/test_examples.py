@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import math
 import sys
@@ -153,6 +154,19 @@ def test_luminaires():
     found = module.run(bundles=32, size=(60, 120), iterations=60)
     assert found["least"] == pytest.approx([500, 500], rel=1e-6)
     assert found["watts"][1] < 0.85 * found["watts"][0]
+
+
+def test_office(tmp_path):
+    """Its table agrees with path."""
+    example("office").main(str(tmp_path), "1")
+    rows = list(csv.DictReader((tmp_path / "desks.csv").open()))
+    read, error = (np.array([float(row[f"illuminance{end}"]) for row in rows]) for end in (" [lx]", "_error"))
+    chosen = np.arange(50, len(rows), 400)
+    points = [[float(rows[k][axis]) for axis in "xyz"] for k in chosen]
+    by_path = etendue.measure(example("office").office(tmp_path / "lamp.ies"), points, spp=4096)
+    z = (read[chosen] - by_path.photometric) / np.hypot(error[chosen], by_path.photometric_error)
+    assert np.abs(z).max() < 5
+    assert (tmp_path / "office.jpg").stat().st_size > 10_000
 
 
 def test_reflectances():
