@@ -49,6 +49,12 @@ def test_a_point_lamp_is_exact(method):
     assert np.allclose(found.photometric, EFFICACY * found.values @ np.array(LUMINANCE))
 
 
+def test_many_paths_are_more_passes():
+    found = etendue.measure(floor(lamp=point([0, 0, 2])), [[0, 0, 0]], UP, spp=1 << 18, max_depth=2)
+    assert found.metadata["samples"] == 1 << 18
+    assert np.allclose(found.values, 0.25, rtol=1e-4)
+
+
 @pytest.mark.parametrize("method", ["path", "bpt"])
 def test_a_lit_disk_by_its_configuration_factor(method):
     # A disk of radius 1 at height h over a parallel meter: F = 1 / (1 + h^2), E = pi L F.

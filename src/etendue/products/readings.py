@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -139,7 +139,9 @@ class MeterTable(Product[Readings]):
         has passes enough for the standard error."""
         given = dict(task.settings)
         if budget.samples is not None:
-            given.setdefault("samples_per_pass", max(1, int(budget.samples) // _PASSES))
+            ranges = {field.name: field.metadata for field in fields(task.method.Settings)}
+            most = int(ranges["samples_per_pass"]["maximum"])
+            given.setdefault("samples_per_pass", min(max(1, int(budget.samples) // _PASSES), most))
         made: Settings = task.method.Settings.from_mapping(given, owner=f"method '{task.method.name}'")
         return made
 
