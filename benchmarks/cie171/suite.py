@@ -97,14 +97,14 @@ def readings_of(number: str, kinds: Sequence[int], folder: Path) -> Iterator[lis
 def take(case: Case, method: str) -> list[Reading]:
     """The readings of a case by a method, taken again where they are noisy or beyond the bar."""
     about = (case.number, case.row, case.what, method)
-    values, errors = _read(case, method, np.arange(len(case.points)), case.spp, 0)
+    values, errors = _read(case, method, np.arange(len(case.points)), 1, 0)
     readings = _judged(about, case.names, values, errors, case.expected)
     for look in range(1, _AGAIN + 1):
         wrong = np.flatnonzero([not reading.is_settled for reading in readings])
         if not len(wrong):
             break
         chosen = wrong if case.weights is None else np.arange(len(case.points))
-        values[wrong], errors[wrong] = _read(case, method, chosen, case.spp * _MORE**look, look)
+        values[wrong], errors[wrong] = _read(case, method, chosen, _MORE**look, look)
         judged = _judged(about, case.names, values, errors, case.expected)
         readings = [
             replace(new, looks=look + 1) if k in wrong else old
@@ -113,11 +113,13 @@ def take(case: Case, method: str) -> list[Reading]:
     return readings
 
 
-def _read(case: Case, method: str, chosen: Array, spp: int, seed: int) -> tuple[Array, Array]:
-    """Values and standard errors of some meters, or of the weighted sum of all."""
-    meters = Meters(case.points[chosen], case.directions[chosen], case.quantity)
-    found = read(case.scene, meters, method=method, spp=spp, max_depth=case.max_depth, seed=seed)
-    values, errors = found.photometric, found.photometric_error
+def _read(case: Case, method: str, chosen: Array, copies: int, seed: int) -> tuple[Array, Array]:
+    """Values and standard errors of some meters, each the mean of copies in its place, or of their weighted sum."""
+    points, directions = (np.repeat(v[chosen], copies, axis=0) for v in (case.points, case.directions))
+    meters = Meters(points, directions, case.quantity)
+    found = read(case.scene, meters, method=method, spp=case.spp, max_depth=case.max_depth, seed=seed)
+    values = found.photometric.reshape(-1, copies).mean(axis=1)
+    errors = np.linalg.norm(found.photometric_error.reshape(-1, copies), axis=1) / copies
     if case.weights is None:
         return values, errors
     return np.array([case.weights @ values]), np.array([np.linalg.norm(case.weights * errors)])

@@ -44,6 +44,19 @@ def test_integrals_of_a_uniform_sky_are_configuration_factors(opening):
             assert np.isclose(found, references.configuration_factor(p, normal, corners(opening))[0], rtol=1e-5)
 
 
+def test_the_horizon_divides_a_facade():
+    """A uniform sky above it and a uniform ground below, each by its configuration factor."""
+    outside = references.Outside(references.GeneralSky(5, SUN), 0.3)
+    opening = references.Opening(1, (0.0, 0.0, 0.0), (4.0, 0.0, 3.0))
+    for p in rooms.wall_points(4.0).values():
+        found = references.illuminance(p, -rooms.Y, opening, outside.luminance, {2: [p[2]]})
+        sky, ground = (
+            references.configuration_factor(p, -rooms.Y, [(0, 0, a), (4, 0, a), (4, 0, b), (0, 0, b)])[0]
+            for a, b in ((p[2], 3.0), (0.0, p[2]))
+        )
+        assert np.isclose(found, sky + 0.3 * ground, rtol=1e-6)
+
+
 @pytest.mark.parametrize("kind", [1, 8, 12, 15])
 def test_integrals_converge(kind):
     outside = references.Outside(references.GeneralSky(kind, SUN), 0.3)

@@ -49,6 +49,11 @@ def test_a_point_lamp_is_exact(method):
     assert np.allclose(found.photometric, EFFICACY * found.values @ np.array(LUMINANCE))
 
 
+def test_three_meters_are_no_colour(capfd):
+    etendue.measure(floor(lamp=point([0, 0, 2])), np.zeros((3, 3)), UP, spp=32, max_depth=2)
+    assert "nanobind" not in capfd.readouterr().err
+
+
 def test_many_paths_are_more_passes():
     found = etendue.measure(floor(lamp=point([0, 0, 2])), [[0, 0, 0]], UP, spp=1 << 18, max_depth=2)
     assert found.metadata["samples"] == 1 << 18

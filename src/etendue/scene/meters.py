@@ -36,8 +36,9 @@ def with_meters(problem: Problem, meters: Meters) -> Problem:
     points = problem.space.from_scene(meters.points)
     measures_irradiance = meters.quantity == "irradiance"
     _check_places(problem.scene, points, meters)
+    # Mitsuba's properties try to read a tensor with three rows as a colour, and say that they cannot.
     origins, directions = (
-        mi.TensorXf(np.ascontiguousarray(v, np.float32))
+        mi.TensorXf(np.ascontiguousarray(v[None], np.float32))
         for v in (points, -meters.directions if measures_irradiance else meters.directions)
     )
     film = {"type": "hdrfilm", "width": len(meters), "height": 1, "filter": {"type": "box"}}

@@ -12,7 +12,7 @@ def make_meters() -> type:
     """The sensor class for the current variant."""
 
     class Meters(mi.Sensor):
-        """``origins``, ``directions``: tensors (n, 3), of a film of n x 1 pixels. ``irradiance``: whether the camera
+        """``origins``, ``directions``: tensors (1, n, 3), of a film of n x 1 pixels. ``irradiance``: whether the camera
         paths begin on the white ``surface`` at each origin, towards which the ray points; otherwise they begin with the
         ray."""
 
