@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -113,10 +114,12 @@ def take(case: Case, method: str) -> list[Reading]:
     return readings
 
 
-def _read(case: Case, method: str, chosen: Array, copies: int, seed: int) -> tuple[Array, Array]:
+def _read(case: Case, method: str, chosen: Array, copies: int, look: int) -> tuple[Array, Array]:
     """Values and standard errors of some meters, each the mean of copies in its place, or of their weighted sum."""
     points, directions = (np.repeat(v[chosen], copies, axis=0) for v in (case.points, case.directions))
     meters = Meters(points, directions, case.quantity)
+    # Each case has random numbers of its own: deviations under different skies are independent.
+    seed = zlib.crc32(f"{case.number} {case.row} {case.what} {look}".encode()) % (1 << 31)
     found = read(case.scene, meters, method=method, spp=case.spp, max_depth=case.max_depth, seed=seed)
     values = found.photometric.reshape(-1, copies).mean(axis=1)
     errors = np.linalg.norm(found.photometric_error.reshape(-1, copies), axis=1) / copies
