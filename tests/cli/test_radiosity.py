@@ -216,7 +216,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity cornell-box -m multipath --grid 3", "method 'multipath' has no option 'grid'"),
         ("radiosity cornell-box --threshold 3", "threshold is for boxes"),
         ("radiosity dark.xml", "no emitter"),
-        ("radiosity spot.xml", "has no surface"),
+        ("radiosity spot.xml -m boxes", "has no surface; use method lines or multipath"),
         ("radiosity white.xml", "reflects 1.2 of the light"),
         ("radiosity room.ply", "'room.ply' has no light for radiosity; give it emission, a temperature or a sky"),
         ("radiosity room.ply --emission 1 -o p.png", "a picture needs a scene with a camera"),

@@ -132,6 +132,7 @@ def folder(tmp_path_factory, variant):
     meshio = pytest.importorskip("meshio")
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(SCENE)
+    (path / "office.xml").write_text(SCENE)
     etendue.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     film = {"spp": 2, "size": (8, 6), "bootstrap": 1024}
     etendue.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)

@@ -160,7 +160,7 @@ class PatchSource:
         """The objects of the patches of this source."""
         by, walls = self.objects, self.walls
         if by is None:
-            by = "components" if patches.shapes is None else "shapes"
+            by = "components" if patches.shapes is None or self.is_mesh else "shapes"
         elif isinstance(by, str) and by not in GROUPINGS:  # read_patches has made shapes of the array, and marked walls
             by, walls = "shapes", () if walls is None else walls
         return find_objects(patches, by, walls=walls)

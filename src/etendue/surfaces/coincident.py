@@ -97,10 +97,13 @@ class Coincident:
         """The first of the faces that clash, in words."""
         one, other = self.clashing[0]
         text = f"faces {one} and {other}"
-        labels = patches.labels[patches.front[[one, other]]]
+        fronts = patches.front[[one, other]]
+        if (fronts < 0).any():
+            return text + " lie on each other, and one is an obstacle"
+        labels = patches.labels[fronts]
         if not np.array_equal(labels, [one, other]):
             text += f" (of patches labelled {labels[0]} and {labels[1]})"
-        if patches.shapes is not None and (shapes := patches.shapes[patches.front[[one, other]]]).min() >= 0:
+        if patches.shapes is not None and (shapes := patches.shapes[fronts]).min() >= 0:
             text += " of " + " and ".join(f"'{patches.shape_names[k]}'" for k in shapes)
         text += " lie on each other and face the same way"
         more = len(self.clashing) - 1

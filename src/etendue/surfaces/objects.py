@@ -64,7 +64,7 @@ class Objects:
     def spheres(self) -> tuple[Array, Array]:
         """Centres (k, 3) and radii (k,) of the smallest spheres around the objects."""
         centres, radii = np.empty((self.count, 3)), np.empty(self.count)
-        of_face = self.of_patch[self.patches.front]
+        of_face = np.append(self.of_patch, -1)[self.patches.front]  # -1 for obstacles
         order = np.argsort(of_face, kind="stable")
         ends = np.searchsorted(of_face[order], np.arange(self.count + 1))
         for k in range(self.count):
@@ -183,9 +183,9 @@ def _components(patches: Patches) -> tuple[Index, list[str]]:
     sparse, graphs = (library(f"scipy.{name}", purpose) for name in ("sparse", "sparse.csgraph"))
     place, near = _positions(patches.vertices, _SAME * patches.sphere[1])
     n, sheets = len(patches), patches.back >= 0
-    corners = place[patches.faces]
-    patch = np.concatenate([np.repeat(patches.front, 4), np.repeat(patches.back[sheets], 4), n + near[:, 0]])
-    end = n + np.concatenate([corners.ravel(), corners[sheets].ravel(), near[:, 1]])
+    corners, seen = place[patches.faces], patches.front >= 0
+    patch = np.concatenate([np.repeat(patches.front[seen], 4), np.repeat(patches.back[sheets], 4), n + near[:, 0]])
+    end = n + np.concatenate([corners[seen].ravel(), corners[sheets].ravel(), near[:, 1]])
     size = n + int(place.max()) + 1
     graph = sparse.coo_array((np.ones(len(end), np.int8), (patch, end)), shape=(size, size))
     part = graphs.connected_components(graph.tocsr(), directed=False)[1][:n]
@@ -225,7 +225,7 @@ def _areas(patches: Patches, group: Index, sides: int, count: int) -> Array:
 def _boxes(patches: Patches, group: Index, count: int) -> tuple[Array, Array]:
     """Lower and upper corners (count, 3)."""
     lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    of_face = group[patches.front]
+    of_face = np.append(group, -1)[patches.front]
     order = np.argsort(of_face, kind="stable")
     order = order[np.searchsorted(of_face[order], 0) :]
     if len(order):

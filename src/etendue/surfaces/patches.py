@@ -52,6 +52,7 @@ class Patches(InNotebooks):
     left_out: indices of faces that are left out, such as those without area. Their patches keep their rows: a patch
         without any other face is ``empty``. It has area, reflectance and emission zero, and sees nothing.
     numbers: (m,) numbers of the faces, for ``face``; by default their indices.
+    obstacles: indices of faces that only occlude: neither side belongs to a patch, and both are as dark as a back.
 
     Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
     out of range, a reflectance outside [0, 1], a negative emission.
@@ -61,7 +62,7 @@ class Patches(InNotebooks):
     faces: (f, 4) vertex indices; a triangle repeats its last index.
     numbers: (f,) the number of the face that each of them is, or is a part of.
     face_areas, face_normals: (f,), (f, 3).
-    front, back: (f,) the patch of each side of a face, -1 for a back that belongs to none.
+    front, back: (f,) the patch of each side of a face, -1 for a side that belongs to none: a back, or an obstacle's.
     areas, normals, centres: (n,), (n, 3), (n, 3), of patches; the normal is the mean over the patch.
     reflectance, emission: (n, c).
     sky: (c,).
@@ -86,29 +87,35 @@ class Patches(InNotebooks):
         sky: ArrayLike = 0.0,
         left_out: ArrayLike = (),
         numbers: ArrayLike | None = None,
+        obstacles: ArrayLike = (),
     ) -> None:
         self.vertices: Array = _vertices(vertices)
         quads, rows = flat_faces(self.vertices, faces)
         count = int(rows[-1]) + 1
         labels = np.arange(count) if ids is None else _whole("ids", ids, count)
         number = np.arange(count) if numbers is None else _whole("numbers", numbers, count)
-        self.labels, first, patch = np.unique(labels, return_index=True, return_inverse=True)
+        ours = ~np.isin(np.arange(count), np.asarray(obstacles, dtype=np.int64))
+        if not ours.any():
+            raise PatchError(f"all {count} faces are obstacles; a radiosity problem needs one patch at least")
+        self.labels, first, inverse = np.unique(labels[ours], return_index=True, return_inverse=True)
+        patch = np.full(count, -1, dtype=np.int64)
+        patch[ours] = inverse.reshape(-1)
         kept = ~np.isin(rows, np.asarray(left_out, dtype=np.int64))
         self.faces, rows = quads[kept], rows[kept]
         self.face_areas, self.face_normals = _faces_with_area(self.vertices, self.faces, rows)
         self.numbers: Index = number[rows]
-        self.front: Index = patch[rows].astype(np.int64)
+        self.front: Index = patch[rows]
         fronts = len(self.labels)
 
         sheets = np.asarray(two_sided, dtype=bool)
         if sheets.shape not in ((), (fronts,)):
             raise PatchError(f"two_sided is one answer or one for each of {fronts} patches, not {sheets.shape}")
         sheets = np.broadcast_to(sheets, (fronts,))
-        back = np.full(fronts, -1, dtype=np.int64)
-        back[sheets] = fronts + np.arange(np.count_nonzero(sheets))
+        back = np.full(fronts + 1, -1, dtype=np.int64)  # the last is that of obstacles
+        back[:-1][sheets] = fronts + np.arange(np.count_nonzero(sheets))
         self.back: Index = back[self.front]
         self._fronts, self._sheets = fronts, np.flatnonzero(sheets)
-        self.labels, self.face = (self._both_sides(x) for x in (self.labels, number[first]))
+        self.labels, self.face = (self._both_sides(x) for x in (self.labels, number[ours][first]))
         self._set_properties(reflectance, emission, sky)
 
     def _set_properties(self, reflectance: ArrayLike, emission: ArrayLike, sky: ArrayLike) -> None:
@@ -207,7 +214,13 @@ class Patches(InNotebooks):
     @cached_property
     def areas(self) -> Array:
         """(n,)"""
-        return self._both_sides(np.bincount(self.front, self.face_areas, self._fronts).astype(np.float64))
+        return self._both_sides(self._totals(self.face_areas))
+
+    @property
+    def sides(self) -> Index:
+        """(f, 2) the patches of the front and the back of each face, n + 1 for a side that belongs to none."""
+        sides = np.stack([self.front, self.back], axis=1)
+        return np.where(sides < 0, len(self) + 1, sides)
 
     @property
     def empty(self) -> NDArray[np.bool_]:
@@ -230,7 +243,7 @@ class Patches(InNotebooks):
         """(n, 3) unit vectors; the mean for a patch that is not flat, zero if the mean vanishes."""
         summed = self._sums(self.face_normals)
         length = np.linalg.norm(summed, axis=1, keepdims=True)
-        is_turned = length > 1e-9 * np.bincount(self.front, self.face_areas, self._fronts)[:, None]
+        is_turned = length > 1e-9 * self._totals(self.face_areas)[:, None]
         normals = self._both_sides(np.divide(summed, length, out=np.zeros_like(summed), where=is_turned))
         normals[self._fronts :] *= -1
         return normals
@@ -245,7 +258,12 @@ class Patches(InNotebooks):
 
     def _sums(self, of_faces: Array) -> Array:
         weighted = of_faces * self.face_areas[:, None]
-        return np.stack([np.bincount(self.front, column, self._fronts) for column in weighted.T], axis=1)
+        return np.stack([self._totals(column) for column in weighted.T], axis=1)
+
+    def _totals(self, of_faces: Array) -> Array:
+        """(fronts,) sums over the faces of each patch."""
+        seen = self.front >= 0
+        return np.bincount(self.front[seen], of_faces[seen], self._fronts).astype(np.float64)
 
     def _both_sides(self, fronts: NDArray[Number]) -> NDArray[Number]:
         return np.concatenate([fronts, fronts[self._sheets]])
@@ -289,8 +307,9 @@ class Patches(InNotebooks):
         number = np.concatenate([self.numbers[source], self.face[empty]])
         order = np.argsort(number, kind="stable")
         front = np.concatenate([self.front[source], empty])[order]
-        back = self.other_side[front]
-        sides = np.arange(len(self)) if grouped else np.concatenate([front, back[back >= 0]])
+        seen = front[front >= 0]
+        back = self.other_side[seen]
+        sides = np.arange(len(self)) if grouped else np.concatenate([seen, back[back >= 0]])
         result = Patches(
             vertices,
             np.concatenate([faces, np.zeros((len(empty), 4), np.int64)])[order],
@@ -301,6 +320,7 @@ class Patches(InNotebooks):
             sky=self.sky,
             left_out=np.flatnonzero(order >= len(source)),
             numbers=number[order],
+            obstacles=np.flatnonzero(front < 0),
         )
         result._name_as(self, sides)
         return result
@@ -317,7 +337,7 @@ class Patches(InNotebooks):
         :class:`PatchError` for none.
         """
         kept = np.flatnonzero((np.asarray(chosen, dtype=bool) & ~self.empty)[: self._fronts])
-        faces = np.isin(self.front, kept)
+        faces = np.isin(self.front, kept)  # without obstacles
         if not faces.any():
             raise PatchError("no patch is chosen")
         used, corners = np.unique(self.faces[faces], return_inverse=True)

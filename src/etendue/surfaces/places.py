@@ -14,7 +14,7 @@ from etendue.scene import RenderSpace
 
 from .faces import triangles
 from .patches import Patches
-from .smoothing import face_sides, vertex_radiosity
+from .smoothing import face_sides, side_normals, vertex_radiosity
 
 Index = NDArray[np.int64]
 
@@ -49,7 +49,7 @@ class PatchSurfaces:
         self.patches = patches
         self.corners, self.patch = face_sides(patches)
         self._centre, self._radius = patches.sphere
-        normals = np.concatenate([patches.face_normals, -patches.face_normals[patches.back >= 0]])
+        normals = side_normals(patches)
         points = ((patches.vertices - self._centre) / self._radius)[self.corners] + _LIFT * normals[:, None, :]
         is_triangle = self.corners[:, 2] == self.corners[:, 3]
         numbers = np.arange(4 * len(points)).reshape(-1, 4)

@@ -35,6 +35,7 @@ def saved_patches(arrays: Mapping[str, NDArray[Any]], **properties: Any) -> Patc
         two_sided=two_sided,
         left_out=np.arange(len(front), len(patch)),
         numbers=arrays["face"].astype(np.int64)[patch] if "face" in arrays else None,
+        obstacles=np.flatnonzero(patch < 0),
         **properties,
     )
 

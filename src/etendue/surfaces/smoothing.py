@@ -36,11 +36,19 @@ def face_sides(patches: Patches) -> tuple[Index, Index]:
 
     Fronts come first, in the order of the faces; then the backs of sheets.
     """
-    has_back = patches.back >= 0
+    has_front, has_back = patches.front >= 0, patches.back >= 0
     turned = patches.faces[has_back][:, ::-1]
     triangle = turned[:, 0] == turned[:, 1]
     turned[triangle] = turned[triangle][:, [1, 2, 3, 3]]
-    return np.concatenate([patches.faces, turned]), np.concatenate([patches.front, patches.back[has_back]])
+    return (
+        np.concatenate([patches.faces[has_front], turned]),
+        np.concatenate([patches.front[has_front], patches.back[has_back]]),
+    )
+
+
+def side_normals(patches: Patches) -> Array:
+    """(s, 3) normals of the sides of :func:`face_sides`."""
+    return np.concatenate([patches.face_normals[patches.front >= 0], -patches.face_normals[patches.back >= 0]])
 
 
 def vertex_radiosity(patches: Patches, radiosity: ArrayLike, angle: float = 30.0) -> VertexRadiosity:
@@ -70,7 +78,7 @@ def vertex_radiosity(patches: Patches, radiosity: ArrayLike, angle: float = 30.0
     rows = np.arange(len(at))
     incidence = matrices.csr_array((np.ones(len(at), np.int8), (rows, at)), shape=(len(at), len(places)))
     meeting = (incidence @ incidence.T).tocoo()
-    normals = np.concatenate([patches.face_normals, -patches.face_normals[patches.back >= 0]])[side]
+    normals = side_normals(patches)[side]
     cosine = (normals[meeting.row] * normals[meeting.col]).sum(axis=1)
     joined = cosine >= np.cos(np.radians(angle)) - 1e-9
     joined |= meeting.row == meeting.col

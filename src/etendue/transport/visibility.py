@@ -20,6 +20,7 @@ import numpy as np
 
 from etendue.scene import (
     DISPERSES,
+    METER_OFFSET,
     Material,
     Media,
     Packet,
@@ -83,16 +84,17 @@ class Visibility:
 
     def begin_on_meter(
         self, si: mi.SurfaceInteraction3f, material: Material, ray: mi.Ray3f, first: mi.Bool
-    ) -> mi.SurfaceInteraction3f:
+    ) -> tuple[mi.SurfaceInteraction3f, mi.Float]:
         """The end of the edges that are the ``first`` of a camera path, if there are meters: it is the origin of the
-        ray, on a surface that the ray meets at a right angle."""
+        ray, on a surface that the ray meets at a right angle. And the share of Mitsuba's offset with which rays leave:
+        a meter is not rounded as the end of a ray is, and at the edge of a shadow a tenth of a millimetre tells."""
         there = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray.o))
         there.t, there.time, there.wavelengths = 1.0, ray.time, ray.wavelengths
         there.p, there.n = ray.o, mi.Normal3f(-ray.d)
         there.sh_frame = mi.Frame3f(-ray.d)
         there.wi = mi.Vector3f(0.0, 0.0, 1.0)
         material.pointer = dr.select(first, mi.BSDFPtr(self.measured_on), material.pointer)
-        return dr.select(first, there, si)
+        return dr.select(first, there, si), dr.select(first, METER_OFFSET, mi.Float(1.0))
 
     def medium_outside(self, light: mi.UInt32, ray: mi.Ray3f) -> mi.UInt32 | None:
         """The medium in which rays start that leave a light; None in scenes without media."""

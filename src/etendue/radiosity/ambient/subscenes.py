@@ -63,8 +63,9 @@ def sub_scenes(patches: Patches, parts: ArrayLike) -> SubScene:
         )
     made = []
     sides = np.stack([patches.front, np.where(patches.back < 0, patches.front, patches.back)], axis=1)
+    known = np.append(number, -1)  # the last is that of obstacles
     for part in np.unique(number[number >= 0]):
-        corners = patches.vertices[patches.faces[(number[sides] == part).any(axis=1)]].reshape(-1, 3)
+        corners = patches.vertices[patches.faces[(known[sides] == part).any(axis=1)]].reshape(-1, 3)
         made.append(SubScene(np.flatnonzero(number == part), (), corners.min(axis=0), corners.max(axis=0)))
     return SubScene(np.flatnonzero(number < 0), tuple(made))
 

@@ -82,7 +82,7 @@ def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
     come last, as patch ``n``; backs that cannot be seen are left out."""
     count, n = len(patches.faces), len(patches)
     back = np.where((patches.back < 0) & ~_hidden_backs(patches), n, patches.back)
-    patch = np.concatenate([patches.front, back])
+    patch = np.concatenate([np.where(patches.front < 0, n, patches.front), back])
     order = np.argsort(patch, kind="stable")
     order = order[patch[order] >= 0]
     return order % count, patch[order], order >= count

@@ -73,6 +73,8 @@ def grouped(
     of = np.asarray(objects)
     if of.shape != (len(patches),) or of.dtype.kind not in "iu":
         raise RadiosityError(f"objects are whole numbers, one for each of {len(patches)} patches, not {of.shape}")
+    if (patches.front < 0).any():
+        raise RadiosityError("boxes have no faces that only occlude: use method lines, or make obstacles patches")
     if not (threshold > 0 and np.isfinite(threshold)):
         raise RadiosityError(f"the threshold of groups is a number above 0, not {threshold!r}")
     of = of.copy()

@@ -62,8 +62,7 @@ class PartRays:
             vertices, faces = patches.coincident.apart(patches)
             self.faces = np.ascontiguousarray(vertices[faces])
             self.coincident = patches.coincident.kinds, REACH_OF_PAIRS * patches.sphere[1], is_interior(patches)
-            back = np.where(patches.back < 0, len(patches) + 1, patches.back)
-            self.sides = np.stack([patches.front, back], axis=1)
+            self.sides = patches.sides
         self.boxes = np.array([np.stack(child.bounds) for child, _ in children]).reshape(-1, 2, 3)
         self.matrices = np.array([np.linalg.inv(matrix)[:3] for _, matrix in children]).reshape(-1, 3, 4)
         low, high = [self.faces.min(axis=1)], [self.faces.max(axis=1)]

@@ -89,7 +89,7 @@ class ABuffer(LineEngine):
         self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
         #: Whether the scene is an interior.
         self.solid = is_interior(patches)
-        front, back = patches.front, np.where(patches.back < 0, len(patches) + 1, patches.back)
+        front, back = patches.sides.T
         self._ends = np.stack([front, back, back, front], axis=1).reshape(-1, 2).astype(np.uint32)
         self._coincident = patches.coincident.kinds
 

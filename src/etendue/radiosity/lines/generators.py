@@ -182,11 +182,9 @@ class Bundles(LineGenerator):
         corners = patches.vertices[patches.faces] / self.spacing
         perimeters = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).sum(axis=1)
         hits = patches.face_areas / self.spacing**2 + perimeters / 2 + 1
-        sheets = patches.back >= 0
-        most = np.zeros(len(patches))
-        np.add.at(most, patches.front, hits)
-        np.add.at(most, patches.back[sheets], hits[sheets])
-        return most
+        most = np.zeros(len(patches) + 2)
+        np.add.at(most, patches.sides, hits[:, None])
+        return most[:-2]
 
     def frames(self, u: Array) -> Array:
         """(n, 3, 3) frames; the rows are two axes of the grid, and the direction."""

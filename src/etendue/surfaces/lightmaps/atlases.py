@@ -155,7 +155,7 @@ def save_textured_mesh(path: str | os.PathLike[str], mesh: TexturedMesh, lightma
 def _sheets(patches: Patches) -> Iterator[tuple[Array, Index]]:
     """Fronts, and backs if there are any, as vertices and triangles of meshes whose faces meet at common vertices."""
     corners, _ = face_sides(patches)
-    fronts = len(patches.faces)
+    fronts = np.count_nonzero(patches.front >= 0)
     for part in (corners[:fronts], corners[fronts:]):
         if len(part):
             cut, _ = triangles(part)

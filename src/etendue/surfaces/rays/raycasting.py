@@ -52,11 +52,10 @@ class RayScene:
         parameters.update()
         self._scene = mi.load_dict({"type": "scene", "patches": mesh})
         # For each triangle, on the device: the face, its normal, and the patches of its front and its back.
-        n, front, back = len(patches), patches.front[self._face], patches.back[self._face]
         self._faces = copied_to_device(mi.UInt32, self._face)
         self._normals = copied_to_device(mi.Float, patches.face_normals[self._face])
-        self._sides = copied_to_device(mi.UInt32, np.stack([front, np.where(back < 0, n + 1, back)], axis=1))
-        self._sky = dr.opaque(mi.UInt32, n)
+        self._sides = copied_to_device(mi.UInt32, patches.sides[self._face])
+        self._sky = dr.opaque(mi.UInt32, len(patches))
 
     def local(self, points: Array) -> Array:
         """Points (k, 3) in unit coordinates."""
@@ -115,10 +114,9 @@ class RayScene:
         return dr.gather(mi.UInt32, self._faces, hit.prim_index, hit.is_valid())
 
     def sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
-        """Patches of the sides of faces towards the origins of rays, and away from them; ``n + 1`` for a back without a
+        """Patches of the sides of faces towards the origins of rays, and away from them; ``n + 1`` for a side without a
         patch."""
-        front, back = self.patches.front[face], self.patches.back[face]
-        back = np.where(back < 0, len(self.patches) + 1, back)
+        front, back = self.patches.sides[face].T
         is_back = (self.patches.face_normals[face] * directions).sum(axis=1) > 0
         return np.where(is_back, back, front), np.where(is_back, front, back)
 

@@ -1,5 +1,5 @@
 """Patches from mesh files, read by meshio (PLY, STL, VTK, VTU, VTP, Gmsh and more), trimesh (glTF and more), or here
-(OBJ, OFF)."""
+(OBJ, OFF, View3D)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import contextlib
 import io
 import re
 import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,9 @@ from ..errors import PatchError
 from ..faces import face_vectors, flat_faces, repeated
 from ..heat import thermal
 from ..patches import Patches, warn_of_rounded
-from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off
+from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
+from .surfacefiles import MeshFile
+from .view3dfiles import read_vs3
 
 Index = NDArray[np.int64]
 
@@ -31,15 +35,15 @@ _NAMED = 20
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 #: Suffixes of text that is read here, and of files that may be VTK's PolyData.
 _OWN, _VTK = (".off", ".obj"), (".vtk", ".vtp")
-#: Vertices, faces (f, 4), the face of the file that each of them is or is a part of, and arrays by face of the file.
-_Read = tuple[Array, Index, Index, dict[str, Array]]
+#: Readers of files of named surfaces.
+_SURFACES = {".vs3": read_vs3}
 
 
 def read_patches(
     path: str | Path,
     *,
-    reflectance: ArrayLike | str = 0.0,
-    emission: ArrayLike | str = 0.0,
+    reflectance: ArrayLike | str | None = None,
+    emission: ArrayLike | str | None = None,
     temperature: ArrayLike | str | None = None,
     ids: ArrayLike | str | None = None,
     two_sided: ArrayLike = False,
@@ -50,7 +54,7 @@ def read_patches(
 
     reflectance, emission, ids: also the name of a cell-data array of the file, with a value for each face; a patch of
         several faces gets their area-weighted mean. For the array ``"emissivity"`` the reflectance is one minus its
-        values.
+        values. Without them, those that the format defines (View3D's emissivities), else 0.
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
     objects: an array of the file with the number of an object for each face, negative for walls; the objects become
@@ -67,60 +71,101 @@ def read_patches(
         raise PatchError(f"there is no mesh file {path}")
     if path.stat().st_size == 0:
         raise PatchError(f"{path} is empty")
-    if temperature is not None and (isinstance(emission, str) or np.any(emission)):
+    if temperature is not None and emission is not None and (isinstance(emission, str) or np.any(emission)):
         raise PatchError("patches emit by their temperature or have an emission; give one of the two")
     suffix = path.suffix.lower()
-    read = _by_trimesh if suffix in _TRIMESH else _by_own if suffix in _OWN else _by_meshio
-    vertices, faces, rows, cells = read(path)
+    read = _SURFACES.get(suffix) or (_by_trimesh if suffix in _TRIMESH else _by_own if suffix in _OWN else _by_meshio)
+    mesh = read(path)
+    vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     if len(faces) == 0:
         raise PatchError(f"{path} has no triangles or quadrilaterals")
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
-    labels = _cell_array(path, cells, ids, whole=True)
-    rho = (
-        1 - _cell_array(path, cells, reflectance)
-        if isinstance(reflectance, str) and reflectance == "emissivity"
-        else _cell_array(path, cells, reflectance)
+    count = int(rows[-1]) + 1
+    if isinstance(ids, str) and ids == "groups" and ids not in cells:
+        if not mesh.names:
+            raise PatchError(f"{path} has no named groups of faces; name an array of it, or leave out ids")
+        ids = next(iter(mesh.names))
+    given = mesh.ids if ids is None else _cell_array(path, cells, ids, whole=True)
+    labels = np.arange(count) if given is None else np.asarray(given)
+    seen = np.delete(np.arange(count), mesh.obstacles)
+    if len(seen) == 0:
+        raise PatchError(f"{path}: all {count} surfaces are obstacles; a radiosity problem needs one patch at least")
+    groups, inverse = np.unique(labels[seen], return_inverse=True)
+    areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
+    areas[left_out] = 0.0
+    areas = np.bincount(rows, areas).astype(np.float64)[seen]
+
+    def of_patches(value: Any, name: str, otherwise: Any = None) -> Any:
+        """An array of the file as one of patches; other values stay as they are."""
+        if not isinstance(value, str) and value is not None:
+            return value
+        if value is None and name not in mesh.own:
+            return otherwise
+        if value is None:
+            of_rows = mesh.own[name]
+        elif name == "reflectance" and value == "emissivity":
+            of_rows = 1 - _cell_array(path, cells, value)
+        else:
+            of_rows = _cell_array(path, cells, value)
+        of_rows = np.asarray(of_rows)[seen]
+        return of_rows if given is None else _means(of_rows, inverse.reshape(-1), areas, len(groups))
+
+    kelvin = of_patches(temperature, "temperature")
+    patches = Patches(
+        vertices,
+        faces,
+        reflectance=of_patches(reflectance, "reflectance", 0.0),
+        emission=0.0 if temperature is not None else of_patches(emission, "emission", 0.0),
+        ids=labels[rows],
+        numbers=rows,
+        two_sided=two_sided,
+        sky=sky,
+        left_out=left_out,
+        obstacles=np.flatnonzero(np.isin(rows, mesh.obstacles)),
     )
-    exitance, kelvin = _cell_array(path, cells, emission), _cell_array(path, cells, temperature)
-    if labels is not None:
-        groups, inverse = np.unique(labels, return_inverse=True)
-        areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
-        areas[left_out] = 0.0
-        areas = np.bincount(rows, areas).astype(np.float64)
-        if isinstance(reflectance, str):
-            rho = _means(rho, inverse, areas, len(groups))
-        if isinstance(emission, str):
-            exitance = _means(exitance, inverse, areas, len(groups))
-        if isinstance(temperature, str):
-            kelvin = _means(kelvin, inverse, areas, len(groups))
-    ids_of_parts = rows if labels is None else labels[rows]
-    rest: Any = {"ids": ids_of_parts, "numbers": rows, "two_sided": two_sided, "sky": sky, "left_out": left_out}
-    patches = Patches(vertices, faces, reflectance=rho, emission=exitance, **rest)
     if objects is not None:
-        numbers = _cell_array(path, cells, objects, whole=True)
-        _set_shapes(
-            patches, np.arange(rows[-1] + 1) if labels is None else labels, numbers, f"{path}, array '{objects}'"
-        )
+        numbers = _cell_array(path, cells, objects, whole=True)[seen]
+        if not _set_shapes(patches, labels[seen], numbers):
+            raise PatchError(
+                f"{path}, array '{objects}': {_torn(labels[seen], numbers)}; a patch belongs to one object"
+            )
+    else:
+        named = [ids] if isinstance(ids, str) else mesh.names
+        for array in named:
+            if array in mesh.names and _set_shapes(patches, labels[seen], cells[array][seen], mesh.names[array]):
+                break
     return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
 
 
-def _set_shapes(patches: Patches, labels: Index, numbers: Index, array: str) -> None:
-    """The object of each patch, from the numbers of the faces and the labels of their patches."""
-    known, patch = np.unique(labels, return_inverse=True)
-    low, high = np.full(len(known), numbers.max()), np.full(len(known), numbers.min())
-    np.minimum.at(low, patch, numbers)
-    np.maximum.at(high, patch, numbers)
-    torn = np.flatnonzero(low != high)
-    if len(torn):
-        raise PatchError(
-            f"{array}: patch {known[torn[0]]} has faces of the objects {low[torn[0]]} and {high[torn[0]]}; a patch "
-            "belongs to one object"
-        )
+def _set_shapes(patches: Patches, labels: Index, numbers: NDArray[Any], names: Mapping[int, str] | None = None) -> bool:
+    """The object of each patch, from the numbers of the faces and the labels of their patches; negative for none.
+    ``False`` for a patch with faces of several objects."""
+    known, low, high = _extremes(labels, numbers)
+    if (low != high).any():
+        return False
     number = low[np.searchsorted(known, patches.labels)]
-    names = np.unique(number[number >= 0])
-    patches.shapes = np.where(number < 0, -1, np.searchsorted(names, number))
-    patches.shape_names = tuple(map(str, names))
+    objects = np.unique(number[number >= 0])
+    patches.shapes = np.where(number < 0, -1, np.searchsorted(objects, number))
+    patches.shape_names = tuple(str(k) if names is None else names.get(int(k), str(k)) for k in objects)
+    return True
+
+
+def _torn(labels: Index, numbers: NDArray[Any]) -> str:
+    """The first patch with faces of two objects, in words."""
+    known, low, high = _extremes(labels, numbers)
+    k = np.flatnonzero(low != high)[0]
+    return f"patch {known[k]} has faces of the objects {low[k]} and {high[k]}"
+
+
+def _extremes(labels: Index, numbers: NDArray[Any]) -> tuple[Index, Index, Index]:
+    """The labels, and the smallest and largest number of each."""
+    known, patch = np.unique(labels, return_inverse=True)
+    whole = np.rint(numbers).astype(np.int64).ravel()
+    low, high = np.full(len(known), whole.max()), np.full(len(known), whole.min())
+    np.minimum.at(low, patch.reshape(-1), whole)
+    np.maximum.at(high, patch.reshape(-1), whole)
+    return known, low, high
 
 
 def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
@@ -174,7 +219,7 @@ def broken_faces(
     return left_out
 
 
-def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = False) -> Any:
+def _cell_array(path: Path, cells: Mapping[str, Array], value: Any, whole: bool = False) -> Any:
     if not isinstance(value, str):
         return value
     if value not in cells:
@@ -197,7 +242,7 @@ def _means(values: ArrayLike, group: Index, areas: Array, count: int) -> Array:
     return np.stack([inverse * of_group for of_group in sums], axis=1)
 
 
-def _by_meshio(path: Path) -> _Read:
+def _by_meshio(path: Path) -> MeshFile:
     meshio = library("meshio", f"reading {path}")
     said = io.StringIO()
     try:
@@ -239,28 +284,43 @@ def _by_meshio(path: Path) -> _Read:
     if all(block.type in _FACES for _, block in blocks):
         faces = [block.data[:, [0, 1, 2, -1]] for _, block in blocks]
         quads = np.concatenate([np.empty((0, 4), np.int64), *faces]).astype(np.int64)
-        return points, quads, np.arange(len(quads)), cells
-    return _cut(path, points, polygons_of([block for _, block in blocks]), cells)
+        read = MeshFile(points=points, faces=quads, rows=np.arange(len(quads)), cells=cells)
+    else:
+        read = _cut(path, points, polygons_of([block for _, block in blocks]), cells)
+    return replace(read, names=_names_of(path, mesh, read))
 
 
-def _by_own(path: Path) -> _Read:
+def _names_of(path: Path, mesh: Any, read: MeshFile) -> dict[str, dict[int, str]]:
+    """Names of groups of faces in a file that meshio has read: of Gmsh's physical groups, and of the solids of STL."""
+    physical = {int(number): name for name, (number, dimension) in mesh.field_data.items() if dimension == 2}
+    if "gmsh:physical" in read.cells and physical:
+        return {"gmsh:physical": physical}
+    if path.suffix.lower() == ".stl" and (solids := stl_solids(path)) and len(solids[0]) == len(read.rows):
+        read.cells["solid"] = np.array(solids[0])
+        return {"solid": dict(enumerate(solids[1]))}
+    return {}
+
+
+def _by_own(path: Path) -> MeshFile:
     """OFF and OBJ, which meshio reads in part."""
-    points, polygons, cells = (read_off if path.suffix.lower() == ".off" else read_obj)(path)
-    return _cut(path, points, polygons, cells)
+    points, polygons, cells, names = (read_off if path.suffix.lower() == ".off" else read_obj)(path)
+    return replace(_cut(path, points, polygons, cells), names=names)
 
 
-def _cut(path: Path, points: Array, polygons: list[list[int]], cells: dict[str, Array]) -> _Read:
+def _cut(path: Path, points: Array, polygons: list[list[int]], cells: dict[str, Array]) -> MeshFile:
     try:
-        return points, *cut_polygons(points, polygons), cells
+        faces, rows = cut_polygons(points, polygons)
+        return MeshFile(points=points, faces=faces, rows=rows, cells=cells)
     except PatchError as error:
         raise PatchError(f"{path}: {error}") from None
 
 
-def _by_trimesh(path: Path) -> _Read:
+def _by_trimesh(path: Path) -> MeshFile:
     trimesh = library("trimesh", f"reading {path}")
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
         raise PatchError(f"{path} cannot be read as a mesh: {' '.join(str(error).split())}") from error
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-    return np.asarray(mesh.vertices, dtype=np.float64), faces[:, [0, 1, 2, 2]], np.arange(len(faces)), {}
+    points = np.asarray(mesh.vertices, dtype=np.float64)
+    return MeshFile(points=points, faces=faces[:, [0, 1, 2, 2]], rows=np.arange(len(faces)))

@@ -14,7 +14,11 @@ from etendue.core import Array
 from ..errors import PatchError
 
 Index = NDArray[np.int64]
+#: Vertices, polygons, arrays by face, and of some arrays the names of their numbers.
+_Polygons = tuple[Array, list[list[int]], dict[str, Array], dict[str, dict[int, str]]]
 
+#: Statements of OBJ that group faces by names.
+_GROUPS = ("g", "o", "usemtl")
 #: Types of cells of VTK: polygons.
 _POLYGON = 7
 #: Types of arrays by which version 5.1 of the format is read, for those of C; and the lines that name a type.
@@ -44,7 +48,7 @@ def cut_polygons(points: Array, polygons: list[list[int]]) -> tuple[Index, Index
             raise PatchError(f"face {row} has {len(corners)} corners; it needs three")
         parts = [[*corners, corners[-1]][:4]]
         if len(corners) > 4:
-            triangles = _ears(points[corners])
+            triangles = ears(points[corners])
             if triangles is None:
                 raise PatchError(f"face {row} of {len(corners)} corners crosses itself: cut it into triangles")
             parts = [[corners[a], corners[b], corners[c], corners[c]] for a, b, c in triangles]
@@ -53,9 +57,9 @@ def cut_polygons(points: Array, polygons: list[list[int]]) -> tuple[Index, Index
     return np.array(faces, dtype=np.int64).reshape(-1, 4), np.array(rows, dtype=np.int64)
 
 
-def _ears(corners: Array) -> list[tuple[int, int, int]] | None:
-    """Triangles of a polygon (k, 3), cut off one by one as ears: at convex corners whose triangle contains no other
-    corner, the best shaped first. ``None`` if there is none."""
+def ears(corners: Array) -> list[tuple[int, int, int]] | None:
+    """Triangles of a polygon (k, 3), as numbers of corners, cut off one by one as ears: at convex corners whose
+    triangle contains no other corner, the best shaped first. ``None`` if there is none."""
     turned = np.roll(corners, -1, axis=0)
     normal = np.cross(corners - corners[0], turned - corners[0]).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
@@ -90,8 +94,8 @@ def _area(a: Array, b: Array, c: Array) -> Array:
     return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
-def read_off(path: Path) -> tuple[Array, list[list[int]], dict[str, Array]]:
-    """Vertices, polygons and no arrays of an OFF file; colours are ignored."""
+def read_off(path: Path) -> _Polygons:
+    """Vertices and polygons of an OFF file; colours are ignored."""
     lines = [line.split("#")[0].split() for line in path.read_text("utf-8").splitlines()]
     lines = [words for words in lines if words]
     if not lines or not lines[0][0].upper().endswith("OFF"):
@@ -110,32 +114,58 @@ def read_off(path: Path) -> tuple[Array, list[list[int]], dict[str, Array]]:
             )
         points = np.array([words[:3] for words in lines[1 : 1 + vertices]], dtype=np.float64).reshape(-1, 3)
         rows = lines[1 + vertices : 1 + vertices + faces]
-        return points, [[int(word) for word in words[1 : 1 + int(words[0])]] for words in rows], {}
+        return points, [[int(word) for word in words[1 : 1 + int(words[0])]] for words in rows], {}, {}
     except (ValueError, IndexError) as error:
         raise PatchError(f"{path} cannot be read as a mesh: {error}") from error
 
 
-def read_obj(path: Path) -> tuple[Array, list[list[int]], dict[str, Array]]:
-    """Vertices and polygons of an OBJ file, and the array ``obj:group_ids``: the number of the group (``g``) of each
-    face, from 0, or -1 before the first."""
+def read_obj(path: Path) -> _Polygons:
+    """Vertices and polygons of an OBJ file, the array ``obj:group_ids``: the number of the group (``g``) of each
+    face, from 0, or -1 before the first; and ``g``, ``o`` and ``usemtl`` with their names, as far as there are."""
     points: list[list[float]] = []
     polygons: list[list[int]] = []
     groups: list[float] = []
     group = -1
+    known: dict[str, dict[str, int]] = {kind: {} for kind in _GROUPS}
+    current, numbered = dict.fromkeys(_GROUPS, -1), {kind: list[int]() for kind in _GROUPS}
     try:
         for words in map(str.split, path.read_text("utf-8", errors="replace").replace("\\\n", " ").splitlines()):
             if words[:1] == ["v"]:
                 points.append([float(word) for word in words[1:4]])
-            elif words[:1] == ["g"]:
-                group += 1
+            elif words and words[0] in _GROUPS:
+                group += words[0] == "g"
+                current[words[0]] = known[words[0]].setdefault(" ".join(words[1:]), len(known[words[0]]))
             elif words[:1] == ["f"]:
                 numbers = [int(word.split("/")[0]) for word in words[1:] if not word.startswith("#")]
                 # Negative numbers count back from the last vertex so far.
                 polygons.append([k - 1 if k >= 0 else len(points) + k for k in numbers])
                 groups.append(group)
-        return np.array(points, dtype=np.float64).reshape(-1, 3), polygons, {"obj:group_ids": np.array(groups)}
+                for kind in _GROUPS:
+                    numbered[kind].append(current[kind])
+        vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
     except ValueError as error:
         raise PatchError(f"{path} cannot be read as a mesh: {error}") from error
+    cells = {"obj:group_ids": np.array(groups)}
+    used = [kind for kind in _GROUPS if max(numbered[kind], default=-1) >= 0]
+    names = {kind: {k: name for name, k in known[kind].items()} for kind in used}
+    cells |= {kind: np.array(numbered[kind]) for kind in names}
+    return vertices, polygons, cells, names
+
+
+def stl_solids(path: Path) -> tuple[list[int], list[str]] | None:
+    """The solid of each face of an STL file of text, and the names of the solids; ``None`` for a binary file."""
+    data = path.read_bytes()
+    if not data.lstrip().startswith(b"solid") or b"facet" not in data[:4096]:
+        return None
+    known: dict[str, int] = {}
+    of_faces: list[int] = []
+    current = -1
+    for words in map(str.split, data.decode("utf-8", errors="replace").splitlines()):
+        if words[:1] == ["solid"]:
+            current = known.setdefault(" ".join(words[1:]), len(known))
+        elif words[:1] == ["facet"]:
+            of_faces.append(current)
+    return of_faces, list(known)
 
 
 def grid_of_polydata(path: Path, data: bytes) -> bytes | None:

@@ -54,16 +54,16 @@ class ShownSolution:
         return False
 
     def mesh(self) -> dict[str, NDArray[Any]]:
-        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back without a
+        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a side without a
         patch, the number of patches. Areas (patches,), and which patches emit light."""
         patches = self.patches
         second = np.flatnonzero(patches.faces[:, 2] != patches.faces[:, 3])
         corners = np.concatenate([patches.faces[:, :3], patches.faces[second][:, [0, 2, 3]]])
         face = np.concatenate([np.arange(len(patches.faces)), second])
-        back = np.where(patches.back < 0, len(patches), patches.back)
+        front, back = np.minimum(patches.sides, len(patches)).T
         return {
             "triangles": self._problem.space.from_scene(patches.vertices)[corners].astype(np.float32),
-            "front": patches.front[face].astype(np.uint32),
+            "front": front[face].astype(np.uint32),
             "back": back[face].astype(np.uint32),
             "areas": patches.areas.astype(np.float32),
             "emits": patches.emission.any(axis=1),
