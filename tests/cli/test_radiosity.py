@@ -69,7 +69,7 @@ def test_corrected_form_factors(capsys, options):
     assert run(f"{command} --checkpoint c") == 0
     err = capsys.readouterr().err
     assert re.search(
-        r"rows were off by at most \S+, factors change by at most \S+, rms \S+ \(\S+ and \S+ of their", err
+        r"row sums were off by at most \S+ \(\S+ standard errors\) and are by \S+; factors change by at most", err
     )
     assert ("small ones dropped" in err) == ("threshold" in options) and "warning" not in err
     made = read_form_factors("f.npz")

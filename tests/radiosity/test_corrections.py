@@ -90,7 +90,7 @@ def test_a_repair_beyond_the_errors_is_told(caplog):
     rays = local_form_factors(RayScene(cube(2)), 4096, points=Independent(4, seed=3))
     made = corrected(replace(rays, matrix=rays.matrix * 1.09), row_sums=True)
     assert not made.is_sound and made.off == pytest.approx(0.09) and deviation(made.factors) < 1e-12
-    assert "is off by 0.09, far more than its standard error" in caplog.text
+    assert "is off by 0.09, more than standard errors explain" in caplog.text
     caplog.clear()
     matrix = rays.matrix.toarray()
     largest = matrix == matrix.max()
@@ -98,7 +98,21 @@ def test_a_repair_beyond_the_errors_is_told(caplog):
     bad = replace(rays, matrix=sparse.csr_array(matrix))
     assert not corrected(bad, reciprocal=True).is_sound and "a form factor changes by" in caplog.text
     caplog.clear()
+    # A threshold explains what it takes from its own rows, and nothing elsewhere.
+    assert not corrected(bad, reciprocal=True, row_sums=True, threshold=0.02).is_sound
+    caplog.clear()
     assert corrected(rays, reciprocal=True).is_sound and not caplog.text
+
+
+def test_small_faults_are_told_where_errors_are_small(caplog):
+    """Rows that are off by a thousandth: noise of a thousand lines, a fault of a hundred million."""
+    factors = exact_form_factors(cube(1))
+    few, many = (
+        replace(factors, matrix=factors.matrix * 1.001, lines=np.full(6, float(lines))) for lines in (1e3, 1e8)
+    )
+    made = corrected(few, row_sums=True)
+    assert made.is_sound and made.off_in_errors == pytest.approx(1e-3 * np.sqrt(1e3), rel=1e-4) and made.left < 1e-12
+    assert not caplog.text and not corrected(many, row_sums=True).is_sound and "is off by 0.001" in caplog.text
 
 
 def test_exact_factors_need_no_correction():

@@ -10,24 +10,25 @@ from etendue.core import Array, OptionError, logger
 
 from .formfactors import FormFactors, entries_of, inverse
 
-#: A change is a fault of the factors if it is above this, and above this multiple of the standard error. Programs that
-#: read view factors accept rows that are off by a thousandth.
-_MOST, _ERRORS = 1e-3, 5.0
+#: A change is a fault of the factors above this multiple of the standard error and rounding, or, if no error is known,
+#: above a thousandth, as programs that read view factors accept it.
+_ERRORS, _ROUNDING, _UNKNOWN = 5.0, 1e-5, 1e-3
 
 
 @dataclass(frozen=True)
 class Correction:
     """Corrected form factors, and how they differ from those before.
 
-    ``off``: the largest deviation of a row sum, with the shares of the sky and of backs, from 1. ``largest``, ``rms``:
-    change of the factors that are left, the shares of the sky included. ``off_in_errors``, ``largest_in_errors``,
-    ``rms_in_errors``: the same in standard errors; ``None`` if no error is known, as of exact factors. ``dropped``: the
-    number of factors below the threshold; ``dropped_share``: the largest sum of these in a row. ``is_sound``: whether
-    all changes may be due to the standard errors.
+    ``off``, ``left``: the largest deviation of a row sum, with the shares of the sky and of backs, from 1, before and
+    after. ``largest``, ``rms``: change of the factors that are left, the shares of the sky included. ``off_in_errors``,
+    ``largest_in_errors``, ``rms_in_errors``: the same in standard errors, those of independent lines; ``None`` if no
+    error is known, as of exact factors. ``dropped``: the number of factors below the threshold; ``dropped_share``: the
+    largest sum of these in a row. ``is_sound``: whether standard errors and the threshold explain all changes.
     """
 
     factors: FormFactors
     off: float
+    left: float
     largest: float
     rms: float
     off_in_errors: float | None
@@ -39,11 +40,12 @@ class Correction:
 
     def __str__(self) -> str:
         """One line."""
-        errors = "their standard errors are not known"
-        if self.largest_in_errors is not None and self.rms_in_errors is not None:
-            errors = f"{self.largest_in_errors:.2g} and {self.rms_in_errors:.2g} of their standard errors"
-        words = f"rows were off by at most {self.off:.2g}, factors change by at most {self.largest:.2g}, "
-        words += f"rms {self.rms:.2g} ({errors})"
+        values = (self.off, self.off_in_errors), (self.largest, self.largest_in_errors), (self.rms, self.rms_in_errors)
+        off, largest, rms = (f"{x:.2g}" if e is None else f"{x:.2g} ({e:.2g} standard errors)" for x, e in values)
+        words = f"row sums were off by at most {off} and are by {self.left:.2g}; factors change by at most {largest}, "
+        words += f"rms {rms}"
+        if self.largest_in_errors is None:
+            words += "; their standard errors are not known"
         if self.dropped:
             words += f"; {self.dropped} small ones dropped, at most {self.dropped_share:.2g} of a row"
         return words
@@ -65,9 +67,10 @@ def corrected(
     before, with ``reciprocal`` those that are smaller in both directions; ``row_sums`` returns their share to the other
     entries of the row, otherwise it is missing.
 
-    A change beyond the standard errors, such as that of rows that sum to 1.09, is a fault of the factors that the
-    correction would hide: a warning tells it. Rows without entries cannot be corrected: a warning names the first.
-    Raises :class:`OptionError` for a threshold outside [0, 1), and the errors of :meth:`FormFactors.repaired`.
+    A change of more than five standard errors, or of a thousandth where no error is known, such as that of rows that
+    sum to 1.09, is a fault of the factors that the correction would hide: a warning tells it. Rows without entries
+    cannot be corrected: a warning names the first. Raises :class:`OptionError` for a threshold outside [0, 1), and the
+    errors of :meth:`FormFactors.repaired`.
     """
     check_threshold(threshold)
     both = factors.reciprocal() if reciprocal else factors
@@ -78,25 +81,24 @@ def corrected(
         made = made.repaired() if reciprocal else made.normalised()
         _warn_of_empty_rows(made)
     off, off_errors = _rows(factors)
-    changes, errors = _changes(factors, made, off_errors)
-    # Rows that lost their small entries change by more than their noise, as asked for.
-    allowed = np.maximum(_MOST, _ERRORS * errors) + dropped.max(initial=0.0)
-    wrong = row_sums & (off > np.maximum(_MOST, _ERRORS * off_errors))
-    is_sound = not wrong.any() and not (changes > allowed).any()
-    if not is_sound:
-        row = int(np.argmax(np.where(wrong, off, 0.0)))
+    changes, errors, asked = _changes(factors, made, off_errors, dropped)
+    wrong, beyond = off - _allowed(off_errors), changes - _allowed(errors) - asked
+    fault = ""
+    if row_sums and wrong.max(initial=0.0) > 0:
+        fault = f"the row of patch {wrong.argmax()} is off by {off[wrong.argmax()]:.2g}"
+    elif beyond.max(initial=0.0) > 0:
+        fault = f"a form factor changes by {changes[beyond.argmax()]:.2g}"
+    if fault:
         logger.warning(
-            "%s, far more than its standard error: a correction hides this and does not mend it; look for faces that "
-            "are turned the wrong way or lie on each other (etendue.radiosity.diagnose)",
-            f"the row of patch {row} is off by {off[row]:.2g}"
-            if wrong.any()
-            else f"a form factor changes by {changes.max():.2g}",
+            "%s, more than standard errors explain: a correction hides this and does not mend it; cast more bundles, "
+            "or look for faces that are turned the wrong way or lie on each other (etendue.radiosity.diagnose)",
+            fault,
         )
-    ratios = _in_errors(changes, errors)
-    row_ratios = _in_errors(off, off_errors)
+    ratios, row_ratios = _in_errors(changes, errors), _in_errors(off, off_errors)
     return Correction(
         factors=made,
         off=float(off.max(initial=0.0)),
+        left=float(_rows(made)[0].max(initial=0.0)),
         largest=float(changes.max(initial=0.0)),
         rms=_rms(changes),
         off_in_errors=float(row_ratios.max()) if len(row_ratios) else None,
@@ -104,8 +106,13 @@ def corrected(
         rms_in_errors=_rms(ratios) if len(ratios) else None,
         dropped=count,
         dropped_share=float(dropped.max(initial=0.0)),
-        is_sound=is_sound,
+        is_sound=not fault,
     )
+
+
+def _allowed(errors: Array) -> Array:
+    """Changes that the standard errors explain."""
+    return np.where(errors > 0, _ERRORS * errors + _ROUNDING, _UNKNOWN)
 
 
 def _rows(factors: FormFactors) -> tuple[Array, Array]:
@@ -116,8 +123,12 @@ def _rows(factors: FormFactors) -> tuple[Array, Array]:
     return off, np.sqrt(inverse(np.asarray(factors.lines, dtype=np.float64)))
 
 
-def _changes(before: FormFactors, after: FormFactors, row_errors: Array) -> tuple[Array, Array]:
-    """Changes of the factors that are left, and of the shares of the sky, and their standard errors, 0 if not known.
+def _changes(
+    before: FormFactors, after: FormFactors, row_errors: Array, dropped: Array
+) -> tuple[Array, Array, Array]:
+    """Changes of the factors that are left and of the shares of the sky, their standard errors, 0 if not known, and
+    changes that a threshold may cause, which ``dropped`` these shares of rows.
+
     ``row_errors``: relative ones of the number of lines; a factor F has that of a count, sqrt(F) times as large, also
     where no line has found it."""
     entries, sky = after.matrix.tocoo(), np.flatnonzero(before.sky)
@@ -125,7 +136,8 @@ def _changes(before: FormFactors, after: FormFactors, row_errors: Array) -> tupl
     counted = np.sqrt(np.maximum(was, entries.data)) * row_errors[entries.row]
     of_sky = np.sqrt(before.sky[sky]) * row_errors[sky]
     changes = np.concatenate([entries.data - was, (after.sky - before.sky)[sky]])
-    return np.abs(changes), np.concatenate([np.maximum(error, counted), of_sky])
+    asked = np.concatenate([dropped[entries.row] + dropped[entries.col], dropped[sky]])
+    return np.abs(changes), np.concatenate([np.maximum(error, counted), of_sky]), asked
 
 
 def _in_errors(values: Array, errors: Array) -> Array:
