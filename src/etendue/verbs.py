@@ -353,6 +353,7 @@ def solve_radiosity(
     threshold: float | None = None,
     least: int | None = None,
     levels: int | None = None,
+    factors: PathLike | None = None,
     divide: bool = False,
     seconds: float | None = None,
     bundles: int | None = None,
@@ -398,6 +399,8 @@ def solve_radiosity(
         ``boxes`` around groups of objects. See :func:`etendue.radiosity.hierarchical_ambient`.
     objects, threshold, least, levels: for boxes and sub-scenes, what makes an object (``shapes``, ``components``,
         ``labels`` or an array of the mesh file), and how objects are grouped, see :func:`etendue.radiosity.grouped`.
+    factors: a file of form factors of the same patches, ``.npz``, ``.nc`` or ``.vf`` of View3D, which the ``solver``
+        takes instead of lines; by default gauss-seidel if they are not reciprocal.
     divide: with ``boxes`` and workers, each worker has some of the boxes with their lines, and all make a pass
         together; otherwise each makes whole passes. The result is the same, and its ``correspondence`` lists the
         messages.
@@ -433,6 +436,7 @@ def solve_radiosity(
         ambient=ambient,
         bounces=bounces,
         sub_scenes=sub_scenes,
+        factors=None if factors is None else Path(factors),
         groups={name: value for name, value in groups.items() if value is not None},
         divide=divide,
         outputs=SolutionFiles(

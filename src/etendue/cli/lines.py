@@ -200,7 +200,7 @@ def _describe_solution(product: SolutionProduct, task: Task | AtOnce, result: Ra
         return
     solution, error = result.solution, result.irradiance_error
     assert solution is not None and result.patches is not None
-    if isinstance(task, AtOnce):
+    if product.ambient is not None and isinstance(task, AtOnce):
         _note(
             f"{product.ambient} ambient term: {1000 * result.elapsed:.0f} ms, without lines, shadows and distances; "
             f"imbalance of power {solution.imbalance:.2g}"

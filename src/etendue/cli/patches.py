@@ -136,9 +136,10 @@ def form_factors(
         bool,
         typer.Option(
             "--reciprocal",
-            help="A_i F_ij = A_j F_ji exactly; with --row-sums both, by the smallest relative change.",
+            help="A_i F_ij = A_j F_ji exactly; with --row-sums both hold, by the smallest relative change.",
         ),
     ] = False,
+    repair: Annotated[bool, typer.Option("--repair", help="Both --row-sums and --reciprocal.")] = False,
     threshold: Annotated[
         float,
         typer.Option(
@@ -195,8 +196,8 @@ def form_factors(
         settings=settings_in(define),
         limits=opt.limits(time, error, bundles=bundles),
         estimator=estimator,
-        row_sums=row_sums,
-        reciprocal=reciprocal,
+        row_sums=row_sums or repair,
+        reciprocal=reciprocal or repair,
         threshold=threshold,
         groups=groups,
         objects=objects,
@@ -287,6 +288,14 @@ def radiosity(
         ),
     ] = None,
     objects: ObjectsBy = None,
+    factors: Annotated[
+        Path | None,
+        typer.Option(
+            "--factors",
+            help="Form factors of these patches to solve, without lines: .npz or .nc of form-factors, .vf of View3D.",
+            metavar="FILE",
+        ),
+    ] = None,
     define: opt.Define = None,
     reflectance: Reflectance = None,
     emission: Annotated[
@@ -393,6 +402,7 @@ def radiosity(
         ambient=ambient,
         bounces=bounces,
         sub_scenes=sub_scenes,
+        factors=factors,
         objects=objects,
         groups=groups,
         divide=divide,

@@ -123,9 +123,7 @@ def _rows(factors: FormFactors) -> tuple[Array, Array]:
     return off, np.sqrt(inverse(np.asarray(factors.lines, dtype=np.float64)))
 
 
-def _changes(
-    before: FormFactors, after: FormFactors, row_errors: Array, dropped: Array
-) -> tuple[Array, Array, Array]:
+def _changes(before: FormFactors, after: FormFactors, row_errors: Array, dropped: Array) -> tuple[Array, Array, Array]:
     """Changes of the factors that are left and of the shares of the sky, their standard errors, 0 if not known, and
     changes that a threshold may cause, which ``dropped`` these shares of rows.
 

@@ -208,10 +208,11 @@ def save_form_factors(
     check_factors(path, factors)
     off = float(np.abs(factors.row_sums() - factors.sky - 1)[factors.areas > 0].max(initial=0.0))
     if known.is_closed and off > _CLOSED:
+        is_open = max(factors.sky.max(), factors.dark.max()) > _CLOSED
         logger.warning(
-            "%s takes rows that sum to 1 without the sky, and those of '%s' are off by %.2g: close the mesh, or ask "
-            "for row sums (--row-sums)",
+            "%s takes rows that sum to 1 without the sky, and those of '%s' are off by %.2g: %s",
             *(known.about, path, off),
+            "close the mesh, which shows the sky or backs of faces" if is_open else "repair them (--repair)",
         )
     if known.lines is not None:
         with replacing(path) as part, part.open("w", encoding="utf-8") as file:
