@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 
 
 def udales_lines(matrix: scipy.sparse.csr_array) -> Iterator[str]:
-    """Lines of ``vfsparse.inp.NNN``, from the CSR ``matrix`` (n, n): i, j, counted from 1 and ascending, and F from i
-    to j with eight decimals; factors that would be written as zero are left out. Their number is ``nnz`` of the
-    namoptions."""
-    ordered = matrix.copy()
-    ordered.sort_indices()
-    entries = ordered.tocoo()
+    """Lines of ``vfsparse.inp.NNN``, in the order of the CSR ``matrix`` (n, n): i, j, counted from 1, and F from i to j
+    with eight decimals; factors that would be written as zero are left out. Their number is ``nnz`` of the namoptions.
+    """
+    entries = matrix.tocoo()
     for i, j, factor in zip(entries.row + 1, entries.col + 1, entries.data, strict=True):
         if (text := f"{factor:.8f}") != "0.00000000":
             yield f"{i} {j} {text}\n"

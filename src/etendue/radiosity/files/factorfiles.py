@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -72,17 +72,11 @@ class FactorFormat:
 
 def _csv(factors: FormFactors, emissivity: Array, path: Path) -> Iterable[str]:
     more = {"sky": factors.sky} | ({"backs": factors.dark} if factors.dark.any() else {}) | {"area": factors.areas}
-    return table_lines(_sorted(factors), row_names(factors).tolist(), more)
+    return table_lines(factors.matrix, _names(factors), more)
 
 
 def _view3d(factors: FormFactors, emissivity: Array, path: Path) -> Iterable[str]:
-    return view3d_lines(_sorted(factors), factors.areas, emissivity, not factors.sky.any())
-
-
-def _sorted(factors: FormFactors) -> Any:
-    matrix = factors.matrix.tocsr(copy=True)
-    matrix.sort_indices()
-    return matrix
+    return view3d_lines(factors.matrix, factors.areas, emissivity, not factors.sky.any())
 
 
 def _names(factors: FormFactors) -> list[str]:
@@ -91,28 +85,28 @@ def _names(factors: FormFactors) -> list[str]:
 
 #: Formats of form factors. Names come before suffixes, since ``vf.nc.inp.201`` is a name.
 FACTOR_FORMATS = (
-    FactorFormat("vfsparse.inp.*", "uDALES", lines=lambda f, e, path: udales_lines(_sorted(f))),
+    FactorFormat("vfsparse.inp.*", "uDALES", lines=lambda f, e, path: udales_lines(f.matrix)),
     FactorFormat("svf.inp.*", "sky view factors of uDALES", lines=lambda f, e, path: udales_sky_lines(f.sky)),
     FactorFormat("vf.nc.inp.*", "the transpose as netCDF, of uDALES", zero=4.0),
-    FactorFormat("ViewFactors.dat*", "Elmer", lines=lambda f, e, path: elmer_lines(_sorted(f))),
-    FactorFormat("F", "OpenFOAM", lines=lambda f, e, path: openfoam_factor_lines(_sorted(f))),
-    FactorFormat("globalFaceFaces", "OpenFOAM", lines=lambda f, e, path: openfoam_face_lines(_sorted(f))),
+    FactorFormat("ViewFactors.dat*", "Elmer", lines=lambda f, e, path: elmer_lines(f.matrix)),
+    FactorFormat("F", "OpenFOAM", lines=lambda f, e, path: openfoam_factor_lines(f.matrix)),
+    FactorFormat("globalFaceFaces", "OpenFOAM", lines=lambda f, e, path: openfoam_face_lines(f.matrix)),
     FactorFormat(".npz", "arrays of NumPy"),
     FactorFormat(".vf", "text of View3D", zero=2.0, lines=_view3d),
     FactorFormat(".nc", "netCDF"),
     FactorFormat(".csv", "a table by names", zero=2.0, lines=_csv),
     FactorFormat(
-        *(".idf", "EnergyPlus", 32.0, lambda f, e, path: energyplus_lines(_sorted(f), _names(f), path.stem)),
+        *(".idf", "EnergyPlus", 32.0, lambda f, e, path: energyplus_lines(f.matrix, _names(f), path.stem)),
         names=check_idf_names,
         is_closed=True,
     ),
     FactorFormat(
-        *(".epjson", "EnergyPlus", 120.0, lambda f, e, path: energyplus_json(_sorted(f), _names(f), path.stem)),
+        *(".epjson", "EnergyPlus", 120.0, lambda f, e, path: energyplus_json(f.matrix, _names(f), path.stem)),
         names=lambda names: None,
         is_closed=True,
     ),
     FactorFormat(
-        *(".i", "MOOSE", 2.0, lambda f, e, path: moose_lines(_sorted(f), _names(f))),
+        *(".i", "MOOSE", 2.0, lambda f, e, path: moose_lines(f.matrix, _names(f))),
         names=check_moose_names,
         is_closed=True,
     ),
@@ -215,8 +209,10 @@ def save_form_factors(
             "close the mesh, which shows the sky or backs of faces" if is_open else "repair them (--repair)",
         )
     if known.lines is not None:
+        matrix = factors.matrix.tocsr(copy=True)
+        matrix.sort_indices()
         with replacing(path) as part, part.open("w", encoding="utf-8") as file:
-            file.writelines(known.lines(factors, emitted, Path(path)))
+            file.writelines(known.lines(replace(factors, matrix=matrix), emitted, Path(path)))
     elif known.name == ".nc":
         write_form_factors(path, factors, emitted, metadata)
     elif known.name == ".npz":
