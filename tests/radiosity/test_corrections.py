@@ -129,6 +129,7 @@ def test_what_cannot_be_corrected(caplog):
             corrected(factors, threshold=threshold)
     corrected(factors, row_sums=True, threshold=0.5)
     assert "6 rows are empty and cannot sum to 1, the first is that of patch 0" in caplog.text
+    assert corrected(factors, threshold=0.5).left == 1
     # Two walls of areas 1 and 2 that see nothing but each other.
     matrix = sparse.csr_array(np.array([[0.0, 1.0], [0.5, 0.0]]))
     pair = replace(factors, matrix=matrix, errors=0 * matrix, sky=np.zeros(2), dark=np.zeros(2), areas=np.r_[1.0, 2.0])

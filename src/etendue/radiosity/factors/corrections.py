@@ -20,7 +20,7 @@ class Correction:
     """Corrected form factors, and how they differ from those before.
 
     ``off``, ``left``: the largest deviation of a row sum, with the shares of the sky and of backs, from 1, before and
-    after. ``largest``, ``rms``: change of the factors that are left, the shares of the sky included. ``off_in_errors``,
+    after. ``largest``, ``rms``: change of the factors that are left, these shares included. ``off_in_errors``,
     ``largest_in_errors``, ``rms_in_errors``: the same in standard errors, those of independent lines; ``None`` if no
     error is known, as of exact factors. ``dropped``: the number of factors below the threshold; ``dropped_share``: the
     largest sum of these in a row. ``is_sound``: whether standard errors and the threshold explain all changes.
@@ -80,7 +80,10 @@ def corrected(
     if row_sums:
         made = made.repaired() if reciprocal else made.normalised()
         _warn_of_empty_rows(made)
-    off, off_errors = _rows(factors)
+    sums, after = (x.row_sums() + x.dark for x in (factors, made))
+    off, left = (np.where(sums > 0, np.abs(x - 1), 0.0) for x in (sums, after))
+    # The sum is that of all lines through a patch, whose number has the variance of a count.
+    off_errors = np.sqrt(inverse(np.asarray(factors.lines, dtype=np.float64)))
     changes, errors, asked = _changes(factors, made, off_errors, dropped)
     wrong, beyond = off - _allowed(off_errors), changes - _allowed(errors) - asked
     fault = ""
@@ -98,7 +101,7 @@ def corrected(
     return Correction(
         factors=made,
         off=float(off.max(initial=0.0)),
-        left=float(_rows(made)[0].max(initial=0.0)),
+        left=float(left.max(initial=0.0)),
         largest=float(changes.max(initial=0.0)),
         rms=_rms(changes),
         off_in_errors=float(row_ratios.max()) if len(row_ratios) else None,
@@ -115,27 +118,23 @@ def _allowed(errors: Array) -> Array:
     return np.where(errors > 0, _ERRORS * errors + _ROUNDING, _UNKNOWN)
 
 
-def _rows(factors: FormFactors) -> tuple[Array, Array]:
-    """Deviations of row sums from 1, zero for rows without entries, and their standard errors, 0 if not known."""
-    sums = factors.row_sums() + factors.dark
-    off = np.where(sums > 0, np.abs(sums - 1), 0.0)
-    # The sum is that of all lines through a patch, whose number has the variance of a count.
-    return off, np.sqrt(inverse(np.asarray(factors.lines, dtype=np.float64)))
-
-
 def _changes(before: FormFactors, after: FormFactors, row_errors: Array, dropped: Array) -> tuple[Array, Array, Array]:
-    """Changes of the factors that are left and of the shares of the sky, their standard errors, 0 if not known, and
-    changes that a threshold may cause, which ``dropped`` these shares of rows.
+    """Changes of the factors that are left and of the shares of the sky and of backs, their standard errors, 0 if not
+    known, and changes that a threshold may cause, which ``dropped`` these shares of rows.
 
     ``row_errors``: relative ones of the number of lines; a factor F has that of a count, sqrt(F) times as large, also
     where no line has found it."""
-    entries, sky = after.matrix.tocoo(), np.flatnonzero(before.sky)
+    entries = after.matrix.tocoo()
     was, error = (entries_of(x, entries.row, entries.col) for x in (before.matrix, before.errors))
     counted = np.sqrt(np.maximum(was, entries.data)) * row_errors[entries.row]
-    of_sky = np.sqrt(before.sky[sky]) * row_errors[sky]
-    changes = np.concatenate([entries.data - was, (after.sky - before.sky)[sky]])
-    asked = np.concatenate([dropped[entries.row] + dropped[entries.col], dropped[sky]])
-    return np.abs(changes), np.concatenate([np.maximum(error, counted), of_sky]), asked
+    changes, errors = [entries.data - was], [np.maximum(error, counted)]
+    asked = [dropped[entries.row] + dropped[entries.col]]
+    for share, now in ((before.sky, after.sky), (before.dark, after.dark)):
+        rows = np.flatnonzero(share)
+        changes.append((now - share)[rows])
+        errors.append(np.sqrt(share[rows]) * row_errors[rows])
+        asked.append(dropped[rows])
+    return np.abs(np.concatenate(changes)), np.concatenate(errors), np.concatenate(asked)
 
 
 def _in_errors(values: Array, errors: Array) -> Array:
