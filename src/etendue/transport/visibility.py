@@ -26,6 +26,7 @@ from etendue.scene import (
     Packet,
     bsdfs,
     graph,
+    least_offset,
     materials,
     measured_on,
     media_in,
@@ -60,6 +61,7 @@ class Visibility:
         self.bsdfs = bsdfs(scene, sensor) if self.media is None else self.media.bsdfs
         #: The material of meters, on which camera paths begin; None: they begin at a camera.
         self.measured_on = measured_on(sensor)
+        self._least_offset = 0.0 if self.measured_on is None else least_offset(scene)
         found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
         self.transparent = any(map(_passes, found))
         #: Whether refraction depends on the wavelength.
@@ -94,7 +96,11 @@ class Visibility:
         there.sh_frame = mi.Frame3f(-ray.d)
         there.wi = mi.Vector3f(0.0, 0.0, 1.0)
         material.pointer = dr.select(first, mi.BSDFPtr(self.measured_on), material.pointer)
-        return dr.select(first, there, si), dr.select(first, METER_OFFSET, mi.Float(1.0))
+        share = mi.Float(METER_OFFSET)
+        if self._least_offset > 0.0:
+            ones = mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(ray.o)))
+            share = dr.maximum(share, dr.opaque(mi.Float, self._least_offset) / ones)
+        return dr.select(first, there, si), dr.select(first, share, 1.0)
 
     def medium_outside(self, light: mi.UInt32, ray: mi.Ray3f) -> mi.UInt32 | None:
         """The medium in which rays start that leave a light; None in scenes without media."""
