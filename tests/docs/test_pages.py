@@ -26,7 +26,11 @@ from etendue.scene import colours_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(p for p in (ROOT / "benchmarks").glob("*.md"))],
+    [
+        *ROOT.glob("*.md"),
+        *(page for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "project"),  # made from other folders
+        *(ROOT / "benchmarks").glob("*.md"),
+    ],
     key=str,
 )
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
