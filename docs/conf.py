@@ -63,6 +63,11 @@ MOUNTED = {"CONTRIBUTING.md": "project/contributing", "CHANGELOG.md": "project/c
     str(path.relative_to(ROOT)): f"project/{'-'.join(path.relative_to(ROOT).with_suffix('').parts).lower()}"
     for path in sorted((ROOT / "benchmarks").rglob("*.md"))
 }
+#: What the reference is made from, which a reader of the repository sees in its place.
+REFERENCE = {f"src/{room.replace('.', '/')}/__init__.py": name for room, name in reference_pages.PAGES.items()} | {
+    "src/etendue/__init__.py": "python",
+    "src/etendue/cli/main.py": "commands",
+}
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 #: [Georgiev 2012, eq. 31] or [Georgiev2012] stands for the key Georgiev2012; several take a ";".
 _CITATION = re.compile(r"(?<!\])\[([A-Z]\w+ ?(?:19|20)\d\d\w*(?:[,;][^\]\n]*)?)\](?![(\[])")
@@ -73,8 +78,10 @@ def mounted(file: Path) -> Path | None:
     """Where the manual has a file of the repository; ``None`` if it has not."""
     if file == ROOT / "README.md":
         return DOCS / "index.md"
-    name = MOUNTED.get(str(file.relative_to(ROOT)) if file.is_relative_to(ROOT) else "")
-    return DOCS / f"{name}.md" if name else file if file.is_relative_to(DOCS) else None
+    name = str(file.relative_to(ROOT)) if file.is_relative_to(ROOT) else ""
+    if name in REFERENCE:
+        return DOCS / "reference" / f"{REFERENCE[name]}.rst"
+    return DOCS / f"{MOUNTED[name]}.md" if name in MOUNTED else file if file.is_relative_to(DOCS) else None
 
 
 def rebased(text: str, source: Path, page: Path) -> str:
@@ -92,7 +99,7 @@ def rebased(text: str, source: Path, page: Path) -> str:
 
 def contents() -> dict[str, list[str]]:
     """The pages that each door links to and no door before it; the reference comes first, for it has all methods."""
-    claimed, found = {"index", *DOORS, *(f"reference/{name}" for name in reference_pages.NAMES)}, {}
+    claimed, found = {"index", *DOORS, *(f"reference/{name}" for name in reference_pages.PAGES.values())}, {}
     for door in sorted(DOORS, key=lambda door: door != "reference"):
         text = (DOCS / f"{door}.md").read_text("utf-8")
         linked = [mounted((DOCS / match[3]).resolve()) for match in _LINK.finditer(text)]

@@ -41,16 +41,16 @@ ROOMS = {
     "etendue.core": "settings, measurements, errors, variants",
 }
 #: The pages of rooms in the folder of the reference.
-NAMES = [f"python-{room.rpartition('.')[2]}" for room in ROOMS]
+PAGES = {room: f"python-{room.rpartition('.')[2]}" for room in ROOMS}
 
 
 def write_reference(folder: Path) -> None:
     """Write ``python-*.rst`` and ``commands.rst`` with an index into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
-    for room, name in zip(ROOMS, NAMES, strict=True):
+    for room, name in PAGES.items():
         write(folder / f"{name}.rst", "\n".join(room_page(importlib.import_module(room))))
     write(folder / "commands.rst", "\n".join(command_page()))
-    rows = [f"   {name}" for name in NAMES]
+    rows = [f"   {name}" for name in PAGES.values()]
     lines = [*heading("Python interface", "="), "", ".. toctree::", "   :maxdepth: 1", "", *rows, ""]
     write(folder / "python.rst", "\n".join(lines))
 
