@@ -1,5 +1,5 @@
 """Patches from mesh files, read by meshio (PLY, STL, VTK, VTU, VTP, Gmsh and more), trimesh (glTF and more), or here
-(OBJ, OFF, View3D)."""
+(OBJ, OFF, View3D, EnergyPlus, CityJSON, Honeybee, Radiance)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from ..errors import PatchError
 from ..faces import face_vectors, flat_faces, repeated
 from ..heat import thermal
 from ..patches import Patches, warn_of_rounded
+from .buildingfiles import read_building
 from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
+from .radfiles import read_rad
 from .surfacefiles import MeshFile
 from .view3dfiles import read_vs3
 
@@ -36,7 +38,14 @@ _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 #: Suffixes of text that is read here, and of files that may be VTK's PolyData.
 _OWN, _VTK = (".off", ".obj"), (".vtk", ".vtp")
 #: Readers of files of named surfaces.
-_SURFACES = {".vs3": read_vs3}
+_SURFACES = {
+    ".vs3": read_vs3,
+    ".rad": read_rad,
+    ".epjson": read_building,
+    ".hbjson": read_building,
+    ".cityjson": read_building,
+    ".json": read_building,
+}
 
 
 def read_patches(
@@ -54,9 +63,11 @@ def read_patches(
 
     reflectance, emission, ids: also the name of a cell-data array of the file, with a value for each face; a patch of
         several faces gets their area-weighted mean. For the array ``"emissivity"`` the reflectance is one minus its
-        values. Without them, those that the format defines (View3D's emissivities), else 0.
+        values. Without them, those that the format defines (View3D's emissivities, Radiance's colours), else 0.
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
+        For ids, also ``"groups"``: the first array of the file whose numbers have names, such as ``g``, ``o`` or
+        ``usemtl`` of OBJ, ``solid`` of STL, ``gmsh:physical``. Names become those of the ``shapes`` of the patches.
     objects: an array of the file with the number of an object for each face, negative for walls; the objects become
         the ``shapes`` of the patches, for :func:`find_objects`.
 
@@ -83,9 +94,9 @@ def read_patches(
 
     count = int(rows[-1]) + 1
     if isinstance(ids, str) and ids == "groups" and ids not in cells:
-        if not mesh.names:
+        ids = next((array for array in mesh.names if array != "surfaces"), None)
+        if ids is None:
             raise PatchError(f"{path} has no named groups of faces; name an array of it, or leave out ids")
-        ids = next(iter(mesh.names))
     given = mesh.ids if ids is None else _cell_array(path, cells, ids, whole=True)
     labels = np.arange(count) if given is None else np.asarray(given)
     seen = np.delete(np.arange(count), mesh.obstacles)
