@@ -88,6 +88,7 @@ PROGRAMS = {
                 ),
                 Benchmark("learned-light", "learned_light.measure", 75, "Learned light: on beside off.", in_all=False),
                 Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
+                Benchmark("cie171", "cie171.suite.measure", 15, "The analytic test cases of CIE 171:2006: meters."),
                 Benchmark("windows", "windows.measure", 25, "Sun and sky through windows, beside Mitsuba's path."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ground-lamps", "grounds.lamps", 3, "A lamp beside a sky, on walls of several sizes."),

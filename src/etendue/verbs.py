@@ -271,6 +271,10 @@ def compute_form_factors(
     estimator: str | None = None,
     objects: Any = None,
     walls: Sequence[str | int] | None = None,
+    row_sums: bool = False,
+    reciprocal: bool = False,
+    threshold: float = 0.0,
+    groups: bool = False,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -298,9 +302,14 @@ def compute_form_factors(
         default F1, or F4 with ``spheres``.
     objects, walls: for ``spheres``, what makes an object and which objects are walls, see
         :func:`etendue.radiosity.find_objects`; or the name of an array of the mesh file.
+    row_sums, reciprocal, threshold: rows that sum to exactly 1, with the sky; ``A_i F_ij = A_j F_ji``; factors below
+        the threshold dropped. See :func:`etendue.radiosity.corrected`, and ``correction`` of the result for what that
+        changed; a warning is given if it is more than errors explain.
+    groups: also the factors between groups of patches, ``groups`` of the result; they are what files contain. A group
+        has the name of a shape, or, in a mesh without names, a label. See :func:`etendue.radiosity.between_groups`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles.
-    save: files for the form factors, ``.npz``, ``.nc`` or ``.vf``.
+    save: files for the form factors, in the formats of :func:`etendue.radiosity.save_form_factors`.
     checkpoint: with it, lines are stored in a folder beside it instead of memory.
 
     The other arguments and the errors are those of :func:`render`. If the lines cannot be evaluated, the error says
@@ -318,6 +327,10 @@ def compute_form_factors(
         parameters=parameters,
         objects=objects,
         walls=walls,
+        row_sums=row_sums,
+        reciprocal=reciprocal,
+        threshold=threshold,
+        groups=groups,
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),
@@ -340,6 +353,7 @@ def solve_radiosity(
     threshold: float | None = None,
     least: int | None = None,
     levels: int | None = None,
+    factors: PathLike | None = None,
     divide: bool = False,
     seconds: float | None = None,
     bundles: int | None = None,
@@ -385,6 +399,8 @@ def solve_radiosity(
         ``boxes`` around groups of objects. See :func:`etendue.radiosity.hierarchical_ambient`.
     objects, threshold, least, levels: for boxes and sub-scenes, what makes an object (``shapes``, ``components``,
         ``labels`` or an array of the mesh file), and how objects are grouped, see :func:`etendue.radiosity.grouped`.
+    factors: a file of form factors of the same patches, ``.npz``, ``.nc`` or ``.vf`` of View3D, which the ``solver``
+        takes instead of lines; by default gauss-seidel if they are not reciprocal.
     divide: with ``boxes`` and workers, each worker has some of the boxes with their lines, and all make a pass
         together; otherwise each makes whole passes. The result is the same, and its ``correspondence`` lists the
         messages.
@@ -420,6 +436,7 @@ def solve_radiosity(
         ambient=ambient,
         bounces=bounces,
         sub_scenes=sub_scenes,
+        factors=None if factors is None else Path(factors),
         groups={name: value for name, value in groups.items() if value is not None},
         divide=divide,
         outputs=SolutionFiles(

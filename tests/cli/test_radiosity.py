@@ -12,6 +12,7 @@ import pytest
 from support.patches import box, joined
 
 from etendue.cli.main import main
+from etendue.radiosity import read_form_factors
 
 meshio = pytest.importorskip("meshio")
 sparse = pytest.importorskip("scipy.sparse")
@@ -59,6 +60,86 @@ def test_form_factors_of_a_mesh(capsys):
     np.testing.assert_allclose(areas[:, None] * first, (areas[:, None] * first).T, atol=1e-12)
     assert run(command) == 0  # the same seed, the same lines
     np.testing.assert_array_equal(sparse.load_npz("f.npz").todense(), first)
+
+
+@pytest.mark.parametrize("options", ["--row-sums", "--reciprocal", "--repair --threshold 0.001"])
+def test_corrected_form_factors(capsys, options):
+    write_room("open.ply", walls=5)
+    command = f"form-factors open.ply -o f.npz --bundles 64 {options}"
+    assert run(f"{command} --checkpoint c") == 0
+    err = capsys.readouterr().err
+    assert re.search(
+        r"row sums were off by at most \S+ \(\S+ standard errors\) and are by \S+; factors change by at most", err
+    )
+    assert ("small ones dropped" in err) == ("threshold" in options) and "warning" not in err
+    made = read_form_factors("f.npz")
+    if options != "--reciprocal":
+        np.testing.assert_allclose(made.row_sums(), 1, rtol=1e-9)
+    if options != "--row-sums":
+        assert made.reciprocity_error() < 1e-9
+    Path("f.npz").unlink()
+    assert run("resume c --bundles 64") == 0  # the same corrections
+    np.testing.assert_array_equal(read_form_factors("f.npz").matrix.todense(), made.matrix.todense())
+
+
+def test_factors_between_groups_for_other_programs(capsys):
+    """Shapes of a scene by their names, each with several patches; the checkpoint keeps what was asked for."""
+    outputs = "-o 'Zone 1.idf' -o box.i -o f.csv -o f.npz -o constant/F -o constant/globalFaceFaces"
+    Path("constant").mkdir()
+    assert run(f"form-factors cornell-box --groups --bundles 32 --max-area 0.5 {outputs} --checkpoint c") == 0
+    capsys.readouterr()
+    made = read_form_factors("f.npz")
+    assert made.name.tolist()[:3] == ["light", "floor", "ceiling"] and len(made) == 8
+    assert Path("f.csv").read_text().startswith("name,light,floor,ceiling,back,green-wall,red-wall,small-box,")
+    text = Path("Zone 1.idf").read_text()
+    assert text.startswith("ZoneProperty:UserViewFactors:BySurfaceName,\n  Zone 1,\n") and text.count("\n") == 66
+    assert "boundary = 'light floor" in Path("box.i").read_text()
+    assert Path("constant/F").read_text().splitlines()[9] == "8"
+    first = Path("f.csv").read_bytes()
+    assert run("resume c --bundles 32 -o again.csv") == 0
+    assert Path("again.csv").read_bytes() == first
+
+
+def test_form_factors_for_udales(capsys):
+    write_room("open.ply", walls=5)
+    outputs = "-o vfsparse.inp.001 -o svf.inp.001 -o vf.nc.inp.001"
+    assert run(f"form-factors open.ply --bundles 64 --row-sums --reciprocal --threshold 5e-7 {outputs}") == 0
+    assert capsys.readouterr().out.split() == outputs.split()[1::2]
+    i, _, factors = np.loadtxt("vfsparse.inp.001").T
+    sky = np.loadtxt("svf.inp.001", skiprows=1)
+    np.testing.assert_allclose(np.bincount(i.astype(int) - 1, factors) + sky, 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["f.npz", "f.nc", "f.vf"])
+def test_form_factors_from_a_file_are_solved(capsys, name):
+    """Grey bodies of one temperature receive sigma T^4 everywhere, whatever they reflect."""
+    if name.endswith(".nc"):
+        pytest.importorskip("h5netcdf")
+    assert run(f"form-factors room.ply -m exact --repair -o {name}") == 0
+    assert run(f"radiosity room.ply --factors {name} --temperature 300 --reflectance 0.4 -o s.npz") == 0
+    assert re.search(r"(conjugate-gradient|gauss-seidel): \d+ iterations?", capsys.readouterr().err)
+    with np.load("s.npz") as arrays:
+        np.testing.assert_allclose(arrays["irradiance"], 5.670374419e-8 * 300**4, rtol=2e-6)
+        assert json.loads(str(arrays["metadata"]))["factors"] == name
+
+
+def test_form_factors_from_a_file_that_do_not_fit(capsys):
+    write_room("open.ply", walls=5)
+    vertices, faces = box((0, 0, 0), (1, 2, 4), 2, inward=True)
+    meshio.write("high.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
+    assert run("form-factors room.ply -o f.npz --bundles 64 --estimator reciprocal") == 0
+    assert run("radiosity room.ply --factors f.npz --emission 1 --reflectance 0.5 -o s.npz") == 0
+    assert "row sums of 'f.npz' are off by up to 0.0" in capsys.readouterr().err
+    for mesh, options, message in (
+        ("open.ply", "", "'f.npz' has 24 rows, and there are 20 patches"),
+        ("high.ply", "", "row 0 has the area 1.5, and patch 0 has 2"),
+        ("room.ply", "--bundles 8", "no lines are cast, so leave out bundles"),
+        ("room.ply", "-m multipath --ambient fuzzy", "leave out method, ambient"),
+        ("room.ply", "--factors s.npz", "'s.npz' is not a file of form factors"),
+        ("room.ply", "--factors no.vf", "there is no file of form factors 'no.vf'"),
+    ):
+        assert run(f"radiosity {mesh} --factors f.npz --emission 1 {options}") == 2
+        assert message in capsys.readouterr().err
 
 
 def test_form_factors_as_text_of_an_open_mesh_of_sheets(capsys):
@@ -144,11 +225,13 @@ def test_one_bundle_has_no_error(capsys, variant):
     ("command", "message"),
     [
         ("form-factors nothing.ply", "there is no mesh file nothing.ply"),
-        ("form-factors room.ply -o f.csv", "take .npz, .vf"),
+        ("form-factors room.ply -o f.txt", "take .npz, .vf"),
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
         ("form-factors room.ply -o ''", "take .npz, .vf"),
         ("form-factors room.ply --checkpoint c --no-checkpoint", "exclude each other"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
+        ("form-factors room.ply -o zone.idf", "knows surfaces by names"),
+        ("form-factors room.ply --threshold 2", "at least 0 and below 1"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1]"),
         ("form-factors room.ply -m exact --bundles 8", "method exact: no lines are cast, so leave out bundles"),
         ("form-factors room.ply --bundles 0", "'--bundles': 0"),
@@ -163,7 +246,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity cornell-box -m multipath --grid 3", "method 'multipath' has no option 'grid'"),
         ("radiosity cornell-box --threshold 3", "threshold is for boxes"),
         ("radiosity dark.xml", "no emitter"),
-        ("radiosity spot.xml", "has no surface"),
+        ("radiosity spot.xml -m boxes", "has no surface; use method lines or multipath"),
         ("radiosity white.xml", "reflects 1.2 of the light"),
         ("radiosity room.ply", "'room.ply' has no light for radiosity; give it emission, a temperature or a sky"),
         ("radiosity room.ply --emission 1 -o p.png", "a picture needs a scene with a camera"),

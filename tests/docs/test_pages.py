@@ -26,7 +26,11 @@ from etendue.scene import colours_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(p for p in (ROOT / "benchmarks").glob("*.md"))],
+    [
+        *ROOT.glob("*.md"),
+        *(page for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "project"),  # made from other folders
+        *(ROOT / "benchmarks").glob("*.md"),
+    ],
     key=str,
 )
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
@@ -132,6 +136,7 @@ def folder(tmp_path_factory, variant):
     meshio = pytest.importorskip("meshio")
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(SCENE)
+    (path / "office.xml").write_text(SCENE)
     etendue.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     film = {"spp": 2, "size": (8, 6), "bootstrap": 1024}
     etendue.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)

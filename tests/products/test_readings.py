@@ -52,6 +52,38 @@ def test_a_point_lamp_is_exact(method):
     assert np.allclose(found.photometric, EFFICACY * found.values @ np.array(LUMINANCE))
 
 
+@pytest.mark.parametrize("method", ["path", "guided", "bpt"])
+def test_rays_start_at_meters(method):
+    # Below the edge of an awning at z = 2, a point on the floor sees nothing past it of the lamp beyond, whatever the
+    # offset of rays; one that is a twentieth of a millimetre in front of the shadow's edge sees it.
+    place = mi.ScalarTransform4f()
+    awning = {"type": "rectangle", "to_world": place.translate([-1, 0, 2]), "bsdf": grey(0.0)}
+    scene = floor(awning=awning, lamp=point([-1.0, 0, 4]))  # the shadow ends at x = 1
+    tilted = {"type": "rectangle", "to_world": place.translate([3, 0, 1]).rotate([0, 1, 0], 30), "bsdf": grey(0.0)}
+    points = [[1.0 - 5e-5, 0, 0], [1.0 + 5e-5, 0, 0], [1.0 + 5e-5, 0, 1e-4], [1.0 + 5e-5, 0, -1e-4]]
+    found = etendue.measure(scene | {"tilted": tilted}, points, UP, method, spp=64, max_depth=2)
+    assert found.values[0].max() == 0.0
+    assert np.allclose(found.values[1:], 4.0 / (4.0**2 + 2.0**2) ** 1.5, rtol=1e-3)
+    # On a tilted plane, with a rounding that puts it a little below.
+    normal = np.array([0.5, 0, 0.75**0.5])
+    found = etendue.measure(
+        scene | {"tilted": tilted}, [3.0, 0, 1] - 1e-4 * normal, normal, method, spp=64, max_depth=2
+    )
+    to_lamp = np.array([-4.0, 0, 3.0])
+    assert np.allclose(found.values, normal @ to_lamp / 125.0, rtol=1e-3)
+
+
+def test_three_meters_are_no_colour(capfd):
+    etendue.measure(floor(lamp=point([0, 0, 2])), np.zeros((3, 3)), UP, spp=32, max_depth=2)
+    assert "nanobind" not in capfd.readouterr().err
+
+
+def test_many_paths_are_more_passes():
+    found = etendue.measure(floor(lamp=point([0, 0, 2])), [[0, 0, 0]], UP, spp=1 << 18, max_depth=2)
+    assert found.metadata["samples"] == 1 << 18
+    assert np.allclose(found.values, 0.25, rtol=1e-4)
+
+
 @pytest.mark.parametrize("method", ["path", "bpt"])
 def test_a_lit_disk_by_its_configuration_factor(method):
     # A disk of radius 1 at height h over a parallel meter: F = 1 / (1 + h^2), E = pi L F.

@@ -373,7 +373,8 @@ def test_after_some_bounces():
     asked = {"bundles": 32, "shot": False, "local_rays": False}
     early = etendue.solve_radiosity(patches, ambient="fuzzy", bounces=2, **asked)
     jacobi = etendue.solve_radiosity(patches, solver="jacobi", ambient="fuzzy", bounces=2, **asked)
-    np.testing.assert_array_equal(early.solution.radiosity, jacobi.solution.radiosity)
+    # On a GPU sums are added in any order.
+    np.testing.assert_allclose(early.solution.radiosity, jacobi.solution.radiosity, rtol=1e-13)
     assert len(early.solution.residuals) == 2 and early.bundles == 32
     whole = etendue.solve_radiosity(patches, solver="jacobi", **asked).solution
     np.testing.assert_allclose(mean(patches, early.solution.radiosity), mean(patches, whole.radiosity), rtol=0.01)

@@ -80,6 +80,7 @@ def corner(away):
 
 def test_a_scene_far_from_the_origin_has_the_same_patches_and_pictures():
     """In the coordinates of the scene, where single precision holds places to 1/4."""
+    pytest.importorskip("xatlas")
     results, textures = [], []
     for away in (np.zeros(3), FAR):
         scene = corner(away)

@@ -176,8 +176,8 @@ def test_a_solution_as_vertex_colours(tmp_path, solution):
 
 def test_refusals(tmp_path, segments, solution):
     factors = form_factors(segments)
-    with pytest.raises(RadiosityError, match=r"'\.csv' is not known; take \.npz, \.vf"):
-        save_form_factors(tmp_path / "f.csv", factors)
+    with pytest.raises(RadiosityError, match=r"'\.txt' is not known; take \.npz, \.vf"):
+        save_form_factors(tmp_path / "f.txt", factors)
     with pytest.raises(RadiosityError, match=r"it has no suffix; take \.npz, \.vtu, \.ply"):
         save_solution(tmp_path / "s", solution)
     with pytest.raises(OutputError, match="there is no folder"):

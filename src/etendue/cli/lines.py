@@ -160,6 +160,8 @@ def _describe_segments(bundles: int, segments: Segments) -> None:
 
 def _describe_factors(product: FormFactorProduct, result: FormFactorResult) -> None:
     factors = result.factors
+    if result.correction is not None:
+        _note(str(result.correction))
     if result.stopped_by == "exact":
         sky = (result.patches.areas * factors.sky).sum() / result.patches.areas.sum()
         open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
@@ -198,7 +200,7 @@ def _describe_solution(product: SolutionProduct, task: Task | AtOnce, result: Ra
         return
     solution, error = result.solution, result.irradiance_error
     assert solution is not None and result.patches is not None
-    if isinstance(task, AtOnce):
+    if product.ambient is not None and isinstance(task, AtOnce):
         _note(
             f"{product.ambient} ambient term: {1000 * result.elapsed:.0f} ms, without lines, shadows and distances; "
             f"imbalance of power {solution.imbalance:.2g}"

@@ -307,6 +307,45 @@ def diff(
 
 
 @app.command()
+def glare(
+    picture: Annotated[Path, typer.Argument(help="A rendering from the position of the eye.", metavar="PICTURE.exr")],
+    view: Annotated[
+        str, typer.Option("--view", help="The sensor of the picture: spherical or perspective.", metavar="NAME")
+    ],
+    fov: Annotated[
+        float | None,
+        typer.Option("--fov", help="Its field of view; spherical: of longitude, 360.", metavar="DEGREES"),
+    ] = None,
+    fov_axis: Annotated[
+        str,
+        typer.Option("--fov-axis", help="Of a perspective picture: x, width, or y, height.", metavar="NAME"),
+    ] = "x",
+    illuminance: Annotated[
+        float | None,
+        typer.Option("--ev", help="Vertical illuminance at the eye; by default that of the picture.", metavar="LUX"),
+    ] = None,
+    threshold: Annotated[
+        str,
+        typer.Option(
+            "--threshold", help="Luminance above which pixels are sources: in cd/m^2, or 5x the mean.", metavar="L"
+        ),
+    ] = "2000",
+    low_light: Annotated[bool, typer.Option("--low-light", help="Correct DGP below 400 lx.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Compute discomfort glare of a picture: UGR, DGP and the sources.
+
+    The eye looks at the middle of the picture.
+    """
+    from etendue.lighting import View
+
+    from .inspection.glare import show_glare
+
+    wanted: Any = {"projection": view, "fov": fov, "fov_axis": fov_axis}
+    return show_glare(picture, View(**wanted), illuminance, threshold, low_light)
+
+
+@app.command()
 def points(
     name: Annotated[
         str | None, typer.Argument(help="A point set, or NAME+shift; without it, all are listed.", metavar="[NAME]")

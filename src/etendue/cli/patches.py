@@ -18,7 +18,9 @@ FactorFiles = Annotated[
     typer.Option(
         "-o",
         "--output",
-        help=".npz or .nc (arrays), .vf (View3D's text); repeatable. By default factors.npz.",
+        help=".npz, .nc (arrays), .csv (a table by names), .vf (View3D), .idf, .epjson (EnergyPlus), .i (MOOSE); or "
+        "by name vfsparse.inp.NNN, svf.inp.NNN, vf.nc.inp.NNN (uDALES), ViewFactors.dat (Elmer), F, globalFaceFaces "
+        "(OpenFOAM); repeatable. By default factors.npz.",
         metavar="FILE",
     ),
 ]
@@ -127,6 +129,32 @@ def form_factors(
             "--estimator", help="F1, F2, F3, F4, reciprocal or pooled; F1, or F4 with spheres.", metavar="NAME"
         ),
     ] = None,
+    row_sums: Annotated[
+        bool, typer.Option("--row-sums", help="Every row sums to exactly 1, with the share of the sky.")
+    ] = False,
+    reciprocal: Annotated[
+        bool,
+        typer.Option(
+            "--reciprocal",
+            help="A_i F_ij = A_j F_ji exactly; with --row-sums both hold, by the smallest relative change.",
+        ),
+    ] = False,
+    repair: Annotated[bool, typer.Option("--repair", help="Both --row-sums and --reciprocal.")] = False,
+    threshold: Annotated[
+        float,
+        typer.Option(
+            "--threshold",
+            help="Drop smaller form factors; --row-sums returns their share to the row, otherwise it is missing.",
+            metavar="X",
+        ),
+    ] = 0.0,
+    groups: Annotated[
+        bool,
+        typer.Option(
+            "--groups",
+            help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
+        ),
+    ] = False,
     objects: ObjectsBy = None,
     walls: Annotated[
         str | None,
@@ -168,6 +196,10 @@ def form_factors(
         settings=settings_in(define),
         limits=opt.limits(time, error, bundles=bundles),
         estimator=estimator,
+        row_sums=row_sums or repair,
+        reciprocal=reciprocal or repair,
+        threshold=threshold,
+        groups=groups,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,
@@ -256,6 +288,14 @@ def radiosity(
         ),
     ] = None,
     objects: ObjectsBy = None,
+    factors: Annotated[
+        Path | None,
+        typer.Option(
+            "--factors",
+            help="Form factors of these patches to solve, without lines: .npz or .nc of form-factors, .vf of View3D.",
+            metavar="FILE",
+        ),
+    ] = None,
     define: opt.Define = None,
     reflectance: Reflectance = None,
     emission: Annotated[
@@ -362,6 +402,7 @@ def radiosity(
         ambient=ambient,
         bounces=bounces,
         sub_scenes=sub_scenes,
+        factors=factors,
         objects=objects,
         groups=groups,
         divide=divide,

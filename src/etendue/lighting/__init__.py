@@ -1,6 +1,12 @@
-"""Lighting design and daylight as numbers: photometric files, skies, the sun, weather, units. NumPy only."""
+"""Lighting design and daylight as numbers: photometric files, skies, the sun, weather, glare, units. NumPy only."""
 
 from .daylight import AnnualDaylight as AnnualDaylight, DaylightCoefficients as DaylightCoefficients
+from .discomfort import (
+    Glare as Glare,
+    GlareSource as GlareSource,
+    glare as glare,
+    position_index as position_index,
+)
 from .errors import LightingError as LightingError
 from .files import read_photometry as read_photometry
 from .meters import QUANTITIES as QUANTITIES, Meters as Meters, Quantity as Quantity
@@ -14,5 +20,6 @@ from .skies import (
 )
 from .sun import day_of_year as day_of_year, sun_direction as sun_direction
 from .units import EFFICACY as EFFICACY, photometric as photometric
+from .views import PROJECTIONS as PROJECTIONS, Projection as Projection, View as View
 from .weather import Weather as Weather, read_epw as read_epw
 from .web import PhotometricWeb as PhotometricWeb

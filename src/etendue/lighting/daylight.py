@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, short_repr
+from etendue.film import LUMINANCE
 
 from .errors import LightingError
 from .meters import Meters
@@ -19,8 +20,6 @@ from .patches import SkyPatches
 from .skies import GROUND
 from .weather import Weather
 
-#: Luminance of linear RGB.
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: Hours of the day in which LM-83 counts daylight, local standard time.
 _OCCUPIED = 8, 18
 #: EN 17037: levels of illuminance (target of half the plane, minimum of 95 % of it), in lux, and their names.
@@ -50,7 +49,7 @@ class DaylightCoefficients:
     @cached_property
     def luminous(self) -> Array:
         """(n, p) illuminance by luminance of white light."""
-        result: Array = self.values @ _LUMINANCE
+        result: Array = self.values @ np.array(LUMINANCE)
         return result
 
     def illuminance(self, luminances: ArrayLike) -> Array:

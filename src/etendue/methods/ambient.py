@@ -113,6 +113,8 @@ class AmbientPath(_Ambient, Path):
     plugin: ClassVar[str | None] = None
     Settings: ClassVar[type[ImageSettings]] = AmbientPathSettings
     settings: AmbientPathSettings
+    spectral: ClassVar[bool] = False
+    measures: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Kajiya1986")
     media: ClassVar[str | None] = None
 
@@ -131,6 +133,7 @@ class AmbientLight(_Ambient, LightTracing):
     name: ClassVar[str] = "ambient_light"
     Settings: ClassVar[type[ImageSettings]] = AmbientLightSettings
     settings: AmbientLightSettings
+    spectral: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Arvo1986")
     media: ClassVar[str | None] = None
 

@@ -78,6 +78,8 @@ class IrradianceCaching(Carrying, Path):
     plugin: ClassVar[str | None] = "irradiance_cache"
     Settings: ClassVar[type[ImageSettings]] = CachingSettings
     settings: Any
+    spectral: ClassVar[bool] = False
+    measures: ClassVar[bool] = False
     citations: ClassVar[tuple[str, ...]] = ("Ward1988", "WardHeckbert1992", *Path.citations)
     carries_on: ClassVar[bool] = True
     media: ClassVar[str | None] = None

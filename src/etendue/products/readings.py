@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
-from etendue.core import Array, OptionError, Settings, checked_path, logger, warn_of_nonfinite
+from etendue.core import Array, Method, OptionError, Settings, checked_path, logger, warn_of_nonfinite
 from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, silent
 from etendue.lighting import EFFICACY, Meters, photometric
 from etendue.scene import Problem
@@ -23,6 +23,8 @@ from .pictures import developed
 
 #: Camera paths of each meter, if there is no limit, and passes of a run, whose variance gives the standard error.
 _PATHS, _PASSES = 4096, 32
+#: Paths of a pass of a run that is limited in time or error, and most of a meter.
+_SHORT, _MOST = 1 << 17, 64
 #: Names of what is measured, by quantity: in watts, and in lumens.
 _RADIOMETRIC = {
     "irradiance": ("irradiance", "W/m^2"),
@@ -191,12 +193,18 @@ class MeterTable(Product[Readings]):
         return Budget(samples=_PATHS)
 
     def settings(self, task: Task, problem: Problem, budget: Budget) -> Settings:
-        """Those of the task: the depth of paths in pictures of the scene does not apply. A run with a number of samples
-        has passes enough for the standard error."""
+        """Those of the task: the depth of paths in pictures of the scene does not apply. Without a number of samples,
+        passes are short, so that there are several for the standard error."""
         given = dict(task.settings)
-        if budget.samples is not None:
-            given.setdefault("samples_per_pass", max(1, int(budget.samples) // _PASSES))
+        if budget.samples is None:
+            given.setdefault("samples_per_pass", min(max(1, _SHORT // len(self.meters)), _MOST))
         made: Settings = task.method.Settings.from_mapping(given, owner=f"method '{task.method.name}'")
+        return made
+
+    def make_method(self, task: Task, settings: Settings, problem: Problem, budget: Budget) -> Method:
+        """See :class:`Product`. A number of samples is divided into passes enough for the standard error."""
+        made = super().make_method(task, settings, problem, budget)
+        made.least_passes = max(made.least_passes, _PASSES)
         return made
 
     def saving(self, job: Job) -> dict[str, Any]:

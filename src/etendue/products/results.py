@@ -10,7 +10,16 @@ from etendue.core import InNotebooks
 if TYPE_CHECKING:
     from etendue.core import Array, Result
     from etendue.distributed import Correspondence
-    from etendue.radiosity import FirstShot, FormFactors, HierarchicalSolution, Lightmap, Patches, Segments, Solution
+    from etendue.radiosity import (
+        Correction,
+        FirstShot,
+        FormFactors,
+        HierarchicalSolution,
+        Lightmap,
+        Patches,
+        Segments,
+        Solution,
+    )
 
 
 @dataclass(kw_only=True)
@@ -20,6 +29,10 @@ class FormFactorResult(InNotebooks):
 
     patches: Patches
     factors: FormFactors
+    #: What ``row_sums``, ``reciprocal`` and ``threshold`` changed, if they were asked for.
+    correction: Correction | None = None
+    #: The factors between groups, if they were asked for.
+    groups: FormFactors | None = None
     segments: Segments | None = None
     #: Bundles that were cast.
     bundles: int = 0

@@ -95,8 +95,9 @@ def _patches(
         kind = known.pop("kind")
         common: dict[str, Any] = {"checkpoint": path, "save_every": save_every}
         if kind == FormFactorProduct.kind:
-            files = outputs or tuple(map(Path, known.pop("outputs")))
-            made = FormFactorProduct(estimator=known["estimator"], outputs=files, **common)
+            saved_outputs = known.pop("outputs")
+            files = outputs or tuple(map(Path, saved_outputs))
+            made = FormFactorProduct(**known, outputs=files, **common)
         else:
             before = SolutionFiles.from_dict(known.pop("outputs"))
             made = SolutionProduct(**known, outputs=before.renamed(outputs) if outputs else before, **common)

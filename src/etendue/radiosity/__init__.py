@@ -49,6 +49,11 @@ from .balance import check_balance as check_balance, is_balanced as is_balanced
 from .casting import REPLICATES as REPLICATES, CastingSettings as CastingSettings, LineCasting as LineCasting
 from .castlines import CastLines as CastLines
 from .errors import RadiosityError as RadiosityError
+from .factors.corrections import (
+    Correction as Correction,
+    check_threshold as check_threshold,
+    corrected as corrected,
+)
 from .factors.exact import exact_form_factors as exact_form_factors
 from .factors.formfactors import (
     ESTIMATORS as ESTIMATORS,
@@ -60,16 +65,22 @@ from .factors.formfactors import (
     pair_errors as pair_errors,
 )
 from .factors.gebhart import gebhart_factors as gebhart_factors
+from .factors.groups import between_groups as between_groups, group_index as group_index, row_names as row_names
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
 from .files.colours import coloured_mesh as coloured_mesh
-from .files.netcdf import read_segments as read_segments, save_segments as save_segments
-from .files.results import (
-    FORM_FACTOR_FILES as FORM_FACTOR_FILES,
-    SOLUTION_FILES as SOLUTION_FILES,
-    check_file as check_file,
-    check_text_size as check_text_size,
+from .files.factorfiles import (
+    FACTOR_FORMATS as FACTOR_FORMATS,
+    FactorFormat as FactorFormat,
+    check_factors as check_factors,
+    factor_format as factor_format,
+    no_factors as no_factors,
     read_form_factors as read_form_factors,
     save_form_factors as save_form_factors,
+)
+from .files.netcdf import read_segments as read_segments, save_segments as save_segments
+from .files.results import (
+    SOLUTION_FILES as SOLUTION_FILES,
+    check_file as check_file,
     save_solution as save_solution,
 )
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata

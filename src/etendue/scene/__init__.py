@@ -63,7 +63,7 @@ if TYPE_CHECKING:
         measured_on as measured_on,
     )
     from .meshes import box as box, joined as joined
-    from .meters import with_meters as with_meters
+    from .meters import METER_OFFSET as METER_OFFSET, least_offset as least_offset, with_meters as with_meters
     from .models.reading import emits as emits
     from .packet import (
         DISPERSES as DISPERSES,

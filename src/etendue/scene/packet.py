@@ -117,6 +117,28 @@ class Packet:
         self.white = matrix @ light
         self.wavelengths, self._light, *self._rows = (_opaque(row) for row in (wavelengths, light, *matrix))
 
+    @contextmanager
+    def drawn(self, u: mi.Float | None) -> Iterator[None]:
+        """Inside the block the wavelengths are those of numbers ``u``, one lane each, uniform in [0, 1); ``None``
+        leaves them as they are. For methods whose paths have wavelengths of their own."""
+        if u is None:
+            yield
+            return
+        kept = self.wavelengths, self._light, self._rows
+        rate, middle, low, high = _shape()
+        hero = [u + k / 4.0 for k in range(4)]
+        places = mi.Spectrum(*(x - dr.floor(x) for x in hero))
+        wavelengths = middle + dr.atanh(low + (high - low) * places) / rate
+        inverse = (high - low) / rate * dr.square(dr.cosh(rate * (wavelengths - middle)))
+        columns = [mi.xyz_to_srgb(mi.cie1931_xyz(one)) * mi.MI_CIE_Y_NORMALIZATION for one in wavelengths]
+        self.wavelengths = wavelengths
+        self._light = mi.Spectrum(*(mi.cie_d65(one) for one in wavelengths))
+        self._rows = [mi.Spectrum(*(column[i] for column in columns)) * inverse * 0.25 for i in range(3)]
+        try:
+            yield
+        finally:
+            self.wavelengths, self._light, self._rows = kept
+
     def rgb(self, light: mi.Spectrum) -> mi.Color3f:
         """Light in linear sRGB; a colour remains as it is."""
         if isinstance(light, mi.Color3f):
@@ -130,10 +152,16 @@ class Packet:
         return self.rgb(share * self._light if is_spectral() else share)
 
 
+def _shape() -> tuple[float, float, float, float]:
+    """Rate and middle of the density of wavelengths, and its cumulated function at the ends, from 360 to 830 nm."""
+    rate, middle = 0.0072, 538.0
+    low, high = (float(np.tanh(rate * (end - middle))) for end in (mi.MI_CIE_MIN, mi.MI_CIE_MAX))
+    return rate, middle, low, high
+
+
 def _sampled(u: Array) -> tuple[Array, Array]:
     """(wavelengths between 360 and 830 nm for numbers in [0, 1), their density)."""
-    rate, middle = 0.0072, 538.0
-    low, high = (np.tanh(rate * (end - middle)) for end in (mi.MI_CIE_MIN, mi.MI_CIE_MAX))
+    rate, middle, low, high = _shape()
     wavelengths = middle + np.arctanh(low + (high - low) * u) / rate
     return wavelengths, rate / ((high - low) * np.cosh(rate * (wavelengths - middle)) ** 2)
 

@@ -79,8 +79,6 @@ class SceneSource:
             place["camera"] = self.camera.to_dict()
         if not self.merge:
             place["merge"] = False
-        if self.meters is not None:
-            place["meters"] = self.meters.to_dict()
         return place
 
     @classmethod
@@ -94,8 +92,6 @@ class SceneSource:
             known["size"] = tuple(place["size"])
         if "camera" in place:
             known["camera"] = Camera(**{"fov_axis": "y", **place["camera"]})  # version 1 had this axis only
-        if "meters" in place:
-            known["meters"] = Meters(**place["meters"])
         return cls(scene, **known)
 
     def ingredients(self, problem: Problem) -> Ingredients:

@@ -13,6 +13,9 @@ APERTURE = 2  #: 2 numbers: point on the aperture
 LENGTH = 4  #: 1 number: edges of the path, for methods that sample this number
 TECHNIQUE = 5  #: 1 number: technique of a path of these edges, for methods that sample it
 
+#: 1 number, vertex 0 of either sub-path: wavelengths of a path, for methods whose paths have their own.
+WAVELENGTHS = 9
+
 # Vertex 0 of a light sub-path.
 LIGHT_PICK = 0  #: 1 number: the light
 LIGHT_POINT = 1  #: 2 numbers: point on an area light, or on the disc of rays from an infinite light

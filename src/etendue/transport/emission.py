@@ -106,7 +106,7 @@ def _emit_area(
     mask: mi.Bool,
 ) -> None:
     place, triangle, area_density = place_on(lights, light, light.emitted, u_point, mask)
-    own, wavelengths = light.direction(u_direction), light.packet.wavelengths
+    own = light.direction(u_direction)
     guided: list[Any] = []
     if learned is not None:
         # On a sphere, the normal is distributed around the direction as directions are around the normal of a point.
@@ -114,7 +114,13 @@ def _emit_area(
         guided = [learned.direction, learned.applies, normal, learned.applies & learned.is_round]
 
     def emitted(
-        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, own: mi.Vector3f, guided: list[Any], mask: mi.Bool
+        emitter: mi.Emitter,
+        triangle: mi.UInt32,
+        place: mi.Point2f,
+        own: mi.Vector3f,
+        guided: list[Any],
+        wavelengths: mi.Color0f,
+        mask: mi.Bool,
     ) -> tuple[mi.Point3f, mi.Normal3f, mi.Vector3f, mi.Spectrum]:
         si = light_point(emitter, triangle, place, mask)
         if guided and is_sphere(emitter):
@@ -125,7 +131,8 @@ def _emit_area(
         si.wavelengths = wavelengths
         return si.p, si.n, local, emitter.eval(si, mask)
 
-    p, n, local, radiance = light.call("area", emitted, triangle, place, own, guided, active=mask)
+    arguments = triangle, place, own, guided, light.packet.wavelengths
+    p, n, local, radiance = light.call("area", emitted, *arguments, active=mask)
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
     cos = mi.Frame3f.cos_theta(local)
@@ -182,13 +189,13 @@ def _emit_beam(out: EmittedRay, light: Light, u_point: mi.Point2f, mask: mi.Bool
 def _own_ray(light: Light, kind: str, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Spectrum]:
     """A ray sampled by the emitter itself, for emitters of a kind: (ray, weight)."""
 
-    wavelengths = light.packet.wavelengths
-
-    def sample(emitter: mi.Emitter, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Spectrum]:
+    def sample(
+        emitter: mi.Emitter, u: mi.Point2f, wavelengths: mi.Color0f, mask: mi.Bool
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
         # The same pair twice: spot reads its direction from the first one, others from the second.
         return own_ray(emitter, u, u, wavelengths, mask)
 
-    ray, weight = light.call(kind, sample, u, active=mask)
+    ray, weight = light.call(kind, sample, u, light.packet.wavelengths, active=mask)
     return ray, weight
 
 
@@ -281,10 +288,15 @@ def _direct_area(
     place, triangle, area_density = place_on(lights, light, light.pick, u_point, mask)
     cone = cone_of(light, si.p) if lights.has_sphere else None
     seen = [*point_in(cone, light, u_point), cone.applies] if cone else []
-    wavelengths = light.packet.wavelengths
 
     def lit(
-        emitter: mi.Emitter, p: mi.Point3f, triangle: mi.UInt32, place: mi.Point2f, seen: list[Any], mask: mi.Bool
+        emitter: mi.Emitter,
+        p: mi.Point3f,
+        triangle: mi.UInt32,
+        place: mi.Point2f,
+        seen: list[Any],
+        wavelengths: mi.Color0f,
+        mask: mi.Bool,
     ) -> tuple[mi.Point3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float, mi.Spectrum]:
         at_light = light_point(emitter, triangle, place, mask)
         if seen and is_sphere(emitter):
@@ -297,7 +309,7 @@ def _direct_area(
         radiance = emitter.eval(at_light, mask & (cos > 0.0))
         return at_light.p, at_light.uv, direction, distance_squared, cos, radiance
 
-    found = light.call("area", lit, si.p, triangle, place, seen, active=mask)
+    found = light.call("area", lit, si.p, triangle, place, seen, light.packet.wavelengths, active=mask)
     target, uv, direction, distance_squared, cos, radiance = found
     mask = mask & (cos > 0.0)
     pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)

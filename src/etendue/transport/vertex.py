@@ -111,6 +111,25 @@ class WalkVertex(Vertex):
     proposal: Proposal = scatter_camera  #: samples directions
     #: Scatterings before the vertex, see :class:`etendue.transport.MapEnd`; None unless paths end in maps.
     scatterings: mi.UInt32 | None = None
+    #: Share of Mitsuba's offset by which rays start off the vertex; None: all of it.
+    offset: mi.Float | None = None
+
+    def ray(self, direction: mi.Vector3f) -> mi.Ray3f:
+        """See :class:`Vertex`."""
+        return self._start.spawn_ray(direction)
+
+    def ray_to(self, target: mi.Point3f) -> mi.Ray3f:
+        """See :class:`Vertex`."""
+        return self._start.spawn_ray_to(target)
+
+    @property
+    def _start(self) -> mi.SurfaceInteraction3f:
+        """Where rays start: Mitsuba's offset is in proportion to the normal."""
+        if self.offset is None:
+            return self.si
+        start = mi.SurfaceInteraction3f(self.si)
+        start.n = start.n * self.offset
+        return start
 
     def sample(
         self, source: SampleSource, active: mi.Bool, joined: Sequence[Joined] = (), proposal: Proposal | None = None

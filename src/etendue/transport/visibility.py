@@ -20,11 +20,13 @@ import numpy as np
 
 from etendue.scene import (
     DISPERSES,
+    METER_OFFSET,
     Material,
     Media,
     Packet,
     bsdfs,
     graph,
+    least_offset,
     materials,
     measured_on,
     media_in,
@@ -59,6 +61,7 @@ class Visibility:
         self.bsdfs = bsdfs(scene, sensor) if self.media is None else self.media.bsdfs
         #: The material of meters, on which camera paths begin; None: they begin at a camera.
         self.measured_on = measured_on(sensor)
+        self._least_offset = 0.0 if self.measured_on is None else least_offset(scene)
         found = [node for node in materials(scene) if isinstance(node, mi.BSDF)]
         self.transparent = any(map(_passes, found))
         #: Whether refraction depends on the wavelength.
@@ -83,16 +86,21 @@ class Visibility:
 
     def begin_on_meter(
         self, si: mi.SurfaceInteraction3f, material: Material, ray: mi.Ray3f, first: mi.Bool
-    ) -> mi.SurfaceInteraction3f:
+    ) -> tuple[mi.SurfaceInteraction3f, mi.Float]:
         """The end of the edges that are the ``first`` of a camera path, if there are meters: it is the origin of the
-        ray, on a surface that the ray meets at a right angle."""
+        ray, on a surface that the ray meets at a right angle. And the share of Mitsuba's offset with which rays leave:
+        a meter is not rounded as the end of a ray is, and at the edge of a shadow a tenth of a millimetre tells."""
         there = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray.o))
         there.t, there.time, there.wavelengths = 1.0, ray.time, ray.wavelengths
         there.p, there.n = ray.o, mi.Normal3f(-ray.d)
         there.sh_frame = mi.Frame3f(-ray.d)
         there.wi = mi.Vector3f(0.0, 0.0, 1.0)
         material.pointer = dr.select(first, mi.BSDFPtr(self.measured_on), material.pointer)
-        return dr.select(first, there, si)
+        share = mi.Float(METER_OFFSET)
+        if self._least_offset > 0.0:
+            ones = mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(ray.o)))
+            share = dr.maximum(share, dr.opaque(mi.Float, self._least_offset) / ones)
+        return dr.select(first, there, si), dr.select(first, share, 1.0)
 
     def medium_outside(self, light: mi.UInt32, ray: mi.Ray3f) -> mi.UInt32 | None:
         """The medium in which rays start that leave a light; None in scenes without media."""

@@ -204,9 +204,9 @@ class Walker:
         s.rays += 1
         if self.footprint is not None:
             set_footprint(si, s.ray.d, dr.select(s.depth == 1, self.footprint(si.p), 0.0))
-        bsdf, medium = self.visibility.material(si, s.ray), None
+        bsdf, medium, offset = self.visibility.material(si, s.ray), None, None
         if self.visibility.measured_on is not None and s.eta is not None:
-            si = self.visibility.begin_on_meter(si, bsdf, s.ray, s.depth == 1)
+            si, offset = self.visibility.begin_on_meter(si, bsdf, s.ray, s.depth == 1)
         passing = extinction = None
         if s.flight is not None and self.visibility.media is not None:
             media, medium = self.visibility.media, s.flight.medium
@@ -230,6 +230,7 @@ class Walker:
             valid=si.is_valid(),
             proposal=self.proposal,
             passing=passing,
+            offset=offset,
         )
         if self.rays is not None:
             self.rays.arrived(s, vertex)

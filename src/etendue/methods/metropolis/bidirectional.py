@@ -32,7 +32,7 @@ from etendue.transport import (
 )
 
 from ..base import ImageMethod, keep_finite
-from .targets import ROULETTE, Contribution, Traced, camera_slots, film_place, light_slots
+from .targets import ROULETTE, Contribution, Traced, camera_slots, film_place, light_slots, wavelengths_of
 
 #: First capacity for the light vertices of a path, and factor on the wanted capacity where it was too small.
 _VERTICES, _GROWTH = 4.0, 1.5
@@ -74,7 +74,8 @@ class SplatList(Sink):
     def add(self, s: mi.UInt32, place: SplatPlace, contribution: Weighted, kind: mi.UInt32) -> mi.Bool:
         """Keep the splat of a light sub-path of ``s >= 2`` vertices. Returns the mask of values that are not finite,
         which are not kept."""
-        value, finite = contribution.weighted[0], dr.all(dr.isfinite(contribution.weighted[0]))
+        value = self.camera.packet.rgb(contribution.weighted[0])
+        finite = dr.all(dr.isfinite(value))
         slot = s - 2
         further = slot - dr.minimum(slot, self.count)
         wanted = (slot < self.count) | (further == self._kept)
@@ -94,7 +95,7 @@ class SplatList(Sink):
             return dr.gather(mi.Float, self.array, self._lane + (self._rows * slot + index) * self._lanes)
 
         found = [
-            Contribution(mi.Point2f(row(i, 0), row(i, 1)), mi.Spectrum(row(i, 2), row(i, 3), row(i, 4)))
+            Contribution(mi.Point2f(row(i, 0), row(i, 1)), mi.Color3f(row(i, 2), row(i, 3), row(i, 4)))
             for i in range(self.count + 1)
         ]
         if not self.components:
@@ -126,6 +127,10 @@ class PairTarget:
 
     def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
         """See :class:`Target`."""
+        with wavelengths_of(self._method, sources["camera"]):
+            return self._trace(sources, lanes)
+
+    def _trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
         method, camera = self._method, self._method.camera
         mis = Mis(self._techniques, [0.0], dr.opaque(mi.Float, float(camera.pixels)))
         common = {"camera": camera, "mis": mis, "dark": dr.opaque(mi.Float, 0.0)}
@@ -146,8 +151,9 @@ class PairTarget:
         place = film_place(method, sources["camera"])
         primary = camera.through(place, sources["camera"])
         radiance, rays = eye.follow(primary, dr.zeros(mi.UInt32, lanes), sources["camera"])
-        whole, bad = keep_finite(functools.reduce(operator.add, radiance.values()))
-        parts = [dr.select(bad, 0.0, part) for part in radiance.values()] if len(radiance) > 1 else [whole]
+        layers = [method.packet.rgb(layer) for layer in radiance.values()]
+        whole, bad = keep_finite(functools.reduce(operator.add, layers))
+        parts = [dr.select(bad, 0.0, part) for part in layers] if len(layers) > 1 else [whole]
         contributions = [Contribution(place, part, number) for number, part in enumerate(parts)]
         contributions += splats.contributions() if splats else []
         nonfinite = light_bad + dr.select(bad, mi.UInt32(1), 0)

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from etendue.core import RELATIVE_EPSILON, Array, State, seed_key
 from etendue.film import LUMINANCE
+from etendue.scene import is_spectral
 
 from ..base import ImageMethod
 
@@ -218,24 +219,38 @@ class Blend:
 
 class Beside:
     """A prepared independent estimator beside the chains, with passes of its own for each half. ``parts``: layers of
-    its pictures."""
+    its pictures.
+
+    Under a spectral variant a pass has the tint w of its wavelengths, 1 in the mean over passes. A multiple of the tint
+    is subtracted, P_i - M_i (w_i - 1), with the ratio M_i of all P and all w so far: nothing is left of it in white
+    light, and of the bias of such a ratio ever less with more passes.
+    """
 
     def __init__(self, method: ImageMethod, parts: Sequence[str]) -> None:
         self.method, self._parts = method, parts
 
     def start(self) -> list[State]:
         """The state of each half."""
-        return [self.method.start()] * 2
+        return [{"own": self.method.start(), "pictures": 0.0, "tints": 0.0}] * 2
 
     def step(
         self, iteration: int, seed: int, states: list[State]
     ) -> tuple[NDArray[np.float64], list[State], Mapping[str, float]]:
         """(pictures of a pass, (parts, 2, height, width, 3), states after it, counts)."""
-        pictures, left, counters = [], [], {"rays": 0.0, "nonfinite": 0.0}
+        pictures: list[Array] = []
+        left: list[State] = []
+        counters = {"rays": 0.0, "nonfinite": 0.0}
         for half, state in enumerate(states):
             high, low = seed_key(seed, "beside", half)
-            made = self.method.step(iteration, (high << 32 | low) & 0x7FFFFFFFFFFFFFFF, state)
-            pictures.append([made.measurement.mean(name) for name in self._parts])
-            left.append(made.state)
+            made = self.method.step(iteration, (high << 32 | low) & 0x7FFFFFFFFFFFFFFF, state["own"])
+            picture = np.array([made.measurement.mean(name) for name in self._parts], np.float64)
+            after: dict[str, Any] = {"own": made.state, "pictures": 0.0, "tints": 0.0}
+            if is_spectral():
+                tint = self.method.packet.white
+                picture *= tint  # the mean is over the tint of the pass
+                after["pictures"], after["tints"] = state["pictures"] + picture, state["tints"] + tint
+                picture -= after["pictures"] / after["tints"] * (tint - 1.0)
+            pictures.append(picture)
+            left.append(after)
             counters = {name: count + made.measurement.counters[name] for name, count in counters.items()}
         return np.stack(pictures, axis=1), left, counters

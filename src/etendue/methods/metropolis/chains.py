@@ -35,7 +35,7 @@ from etendue.points import OwenSobolSource
 from etendue.transport import Splats
 
 from .states import HALF_BIT, BrightnessMap, ChainStates, PassResult, Progressed, by_half, drawn, numbers_of
-from .targets import Contribution, Target, Traced, largest_target
+from .targets import Contribution, Target, Traced, brightness, largest_target
 from .walk import GROUPS, Walk
 
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second
@@ -241,7 +241,7 @@ class Chains:
         """The target of paths."""
         result = mi.Float(0.0)
         for one in contributions:
-            result = result + dr.maximum(mi.luminance(one.value), 0.0) * factors.at(one.position)
+            result = result + brightness(one.value) * factors.at(one.position)
         return dr.minimum(result, dr.opaque(mi.Float, cap))
 
     # ------------------------------------------------------------------ steps
@@ -287,6 +287,6 @@ def _offset(seed: int, purpose: str, half: int, step: int) -> float:
 
 def _on_host(contributions: Sequence[Contribution]) -> NDArray[np.float32]:
     """(x y luminance, contributions, samples)."""
-    found = [(one.position.x, one.position.y, dr.maximum(mi.luminance(one.value), 0.0)) for one in contributions]
+    found = [(one.position.x, one.position.y, brightness(one.value)) for one in contributions]
     dr.eval(found)
     return np.array([[np.array(row[i]) for row in found] for i in range(3)], np.float32)

@@ -17,7 +17,7 @@ from etendue.transport import CameraPath, DirectWeights, LightWalk, Mis, Techniq
 from ..base import keep_finite
 from ..path import traced
 from .bidirectional import PairTarget, SplatList
-from .targets import ROULETTE, Contribution, Traced, camera_slots, light_slots
+from .targets import ROULETTE, Contribution, Traced, camera_slots, light_slots, wavelengths_of
 
 if TYPE_CHECKING:
     from .filmchains import FilmMetropolis
@@ -51,14 +51,15 @@ class FilmTarget:
         """See :class:`Target`."""
         method, source = self._method, sources["camera"]
         place = self.place(source)
-        ray, importance = self._primary(place, source)
-        if method.seen_lights == "later":
-            radiance, rays = self._radiance(ray, source, _LeftOut(), pdf=mi.Float(-1.0))
-        elif method.seen_lights == "split":
-            radiance, rays = self._radiance(ray, source, DirectWeights(), active=~self._sees_light(ray))
-        else:
-            radiance, rays = self._radiance(ray, source, DirectWeights())
-        radiance, bad = keep_finite(radiance * importance)
+        with wavelengths_of(method, source):
+            ray, importance = self._primary(place, source)
+            if method.seen_lights == "later":
+                radiance, rays = self._radiance(ray, source, _LeftOut(), pdf=mi.Float(-1.0))
+            elif method.seen_lights == "split":
+                radiance, rays = self._radiance(ray, source, DirectWeights(), active=~self._sees_light(ray))
+            else:
+                radiance, rays = self._radiance(ray, source, DirectWeights())
+            radiance, bad = keep_finite(method.packet.rgb(radiance * importance))
         return Traced([Contribution(place, radiance)], rays, dr.select(bad, mi.UInt32(1), 0))
 
     def reads(self) -> Sequence[object]:
@@ -69,15 +70,16 @@ class FilmTarget:
         """See :class:`Target`."""
         return True
 
-    def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Spectrum, mi.UInt32]:
+    def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Color3f, mi.UInt32]:
         """(place, light that the chains leave out times the area of the film, rays)."""
         place = self.place(source)
-        ray, importance = self._primary(place, source)
-        if self._method.seen_lights == "split":
-            radiance, rays = self._radiance(ray, source, DirectWeights(), active=self._sees_light(ray))
-        else:
-            radiance, rays = self._seen(ray)
-        return place, radiance * importance, rays
+        with wavelengths_of(self._method, source):
+            ray, importance = self._primary(place, source)
+            if self._method.seen_lights == "split":
+                radiance, rays = self._radiance(ray, source, DirectWeights(), active=self._sees_light(ray))
+            else:
+                radiance, rays = self._seen(ray)
+            return place, self._method.packet.rgb(radiance * importance), rays
 
     def _primary(self, place: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Spectrum]:
         """(camera ray, factor on its radiance, with the area of the film)."""
@@ -132,6 +134,10 @@ class LightFilmTarget(FilmTarget):
 
     def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
         """See :class:`Target`."""
+        with wavelengths_of(self._method, sources["light"]):
+            return self._trace(sources, lanes)
+
+    def _trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
         method, source, camera = self._method, sources["light"], self._method.camera
         u = source.next_1d(0, dim.SPLAT_SHADOW)  # not in the layout
         splats = SplatList(camera=camera, count=method.settings.vertices, u=u)
@@ -145,7 +151,7 @@ class LightFilmTarget(FilmTarget):
             place = self.place(sources["camera"])
             ray, importance = self._primary(place, sources["camera"])
             seen, seen_rays = self._seen(ray)
-            seen, bad = keep_finite(seen * importance)
+            seen, bad = keep_finite(method.packet.rgb(seen * importance))
             contributions.append(Contribution(place, seen))
             rays, nonfinite = rays + seen_rays, nonfinite + dr.select(bad, mi.UInt32(1), 0)
         return Traced(contributions, rays, nonfinite)

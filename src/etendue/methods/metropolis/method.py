@@ -21,6 +21,7 @@ from etendue.core import (
     Record,
     Result,
     State,
+    UnsupportedError,
     Weight,
     copied_to_device,
     free_memory,
@@ -28,7 +29,7 @@ from etendue.core import (
     setting,
 )
 from etendue.film import COMPONENTS
-from etendue.scene import Problem
+from etendue.scene import Problem, is_spectral
 
 from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
@@ -120,6 +121,7 @@ class MetropolisMethod(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = MetropolisSettings
     settings: MetropolisSettings
     carries_on: ClassVar[bool] = True
+    spectral: ClassVar[bool] = True
     in_the_dark: ClassVar[type[ImageMethod] | None] = Bpt  # chains cannot start without light
 
     @abstractmethod
@@ -136,6 +138,10 @@ class MetropolisMethod(Carrying, ImageMethod):
         :class:`SceneError` if none of them finds light."""
         self._forget_states()
         super().prepare(problem, seed)
+        if is_spectral() and self.visibility.media is not None:
+            raise UnsupportedError(
+                f"method '{self.name}' renders no media under {mi.variant()}; use vcm, bpt or path, or llvm_ad_rgb"
+            )
         s = self.settings
         samples = self.samples_for(problem)
         paths = self.camera.pixels * samples
@@ -206,6 +212,7 @@ class MetropolisMethod(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:
+        self.take_wavelengths(iteration, seed)  # of the layers of first hits; chains have their own
         self._planned = steps = self._plan()
         made = self._run(iteration, seed, steps)
         independent, self._besides, counts = self._beside.step(iteration, seed, self._besides)
@@ -226,7 +233,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         if self.settings.aovs:
             first, bad = self.first_layers(iteration, seed, self.samples_per_iteration)
             sums |= {name: layer.astype(np.float64) for name, layer in first.items()}
-            weights |= dict.fromkeys(first, samples)
+            weights |= {name: self._weight_of(name, self.samples_per_iteration) for name in first}
             made.counters["nonfinite"] += bad
         return Measurement(
             sums=sums,
@@ -345,7 +352,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         states = ChainStates(
             {name: copied_to_device(mi.Float, values) for name, values in numbers.items()},
             [
-                Contribution(mi.Point2f(*floats(place)), mi.Spectrum(*floats(value)), one.component)
+                Contribution(mi.Point2f(*floats(place)), mi.Color3f(*floats(value)), one.component)
                 for place, value, one in zip(
                     state["places"], state["values"], self._carried.states.contributions, strict=True
                 )

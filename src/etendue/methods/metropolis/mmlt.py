@@ -32,7 +32,17 @@ from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniqu
 
 from ..base import ImageMethod, ImageSettings, keep_finite
 from .method import MetropolisMethod, MetropolisSettings
-from .targets import ROULETTE, Contribution, Target, Traced, camera_slots, film_place, light_slots
+from .targets import (
+    ROULETTE,
+    Contribution,
+    Target,
+    Traced,
+    brightness,
+    camera_slots,
+    film_place,
+    light_slots,
+    wavelengths_of,
+)
 
 #: Number of lengths with a probability of their own, number of the last of these, and limits of the probability of a
 #: further edge. Longer paths share the last length: each further edge has the same probability, the ratio per edge by
@@ -102,7 +112,7 @@ class SingleTarget:
         lane = dr.arange(mi.UInt32, _PILOT)
         sources = {name: IndependentSource(lane, seed, f"pilot {name}", 0) for name in self.layouts}
         length, _ = self._length(sources["camera"].next_1d(0, dim.LENGTH))
-        found = sum(mi.luminance(one.value) for one in self.trace(sources, _PILOT).contributions)
+        found = sum(brightness(one.value) for one in self.trace(sources, _PILOT).contributions)
         dr.eval(length, found)
         values = np.array(found, np.float64)
         values = np.minimum(values, 100.0 * max(values.mean(), 0.0))
@@ -145,8 +155,9 @@ class SingleTarget:
         """See :class:`Target`."""
         camera = sources["camera"]
         length, probability = self._length(camera.next_1d(0, dim.LENGTH))
-        found, count = self.single(sources, length, film_place(self._method, camera), lanes)
-        value, bad = keep_finite(found.value * (count / probability))
+        with wavelengths_of(self._method, camera):
+            found, count = self.single(sources, length, film_place(self._method, camera), lanes)
+            value, bad = keep_finite(self._method.packet.rgb(found.value * (count / probability)))
         contributions = [Contribution(found.position, value)]
         if found.component is not None:
             contributions = [

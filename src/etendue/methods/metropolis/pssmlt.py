@@ -12,7 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from etendue.core import OptionError, setting
+from etendue.core import OptionError, UnsupportedError, setting
+from etendue.scene import Problem
 
 from ..base import ImageMethod, ImageSettings
 from ..bidirectional import Bpt
@@ -52,6 +53,13 @@ class Pssmlt(MetropolisMethod):
         "Hoberock2010",
         "Andrieu2009",
     )
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`MetropolisMethod`. Raises :class:`UnsupportedError` if materials disperse light: the strong tint
+        of its passes of few wavelengths would bias the colour of the picture."""
+        super().prepare(problem, seed)
+        if self.visibility.disperses:
+            raise UnsupportedError("method 'pssmlt' renders no materials that disperse light; use mmlt, vcm or auto")
 
     def beside(self) -> type[ImageMethod]:
         """See :class:`MetropolisMethod`."""

@@ -119,7 +119,7 @@ class ChainStates:
 
     def replaced(self, at: mi.UInt32, new: ChainStates) -> ChainStates:
         """A copy in which the chains ``at`` are ``new``, one lane each; ``new.numbers`` are those of all chains."""
-        kept = [Contribution(mi.Point2f(c.position), mi.Spectrum(c.value), c.component) for c in self.contributions]
+        kept = [Contribution(mi.Point2f(c.position), mi.Color3f(c.value), c.component) for c in self.contributions]
         copy = ChainStates(new.numbers, kept, mi.Float(self.target), mi.UInt32(self.rejected))
         for mine, its in zip(kept, new.contributions, strict=True):
             dr.scatter(mine.position, its.position, at)

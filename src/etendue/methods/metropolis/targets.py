@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from etendue.core import Array, SampleSource
 from etendue.integration import Layout, Slot
+from etendue.scene import Packet, is_rgb, is_spectral
 from etendue.transport import CameraPath, DirectWeights, Walker, dimensions as dim
 
 from ..base import ImageMethod, keep_finite
@@ -28,7 +30,7 @@ class Contribution:
     """A contribution to the film, one lane a path."""
 
     position: mi.Point2f  #: on the film, in pixels
-    value: mi.Spectrum  #: as the radiance of a camera path that is uniform on the film; 0 where there is none
+    value: mi.Color3f  #: as the radiance of a camera path that is uniform on the film; 0 where there is none
     component: int = 0  #: ``film.Component``, the same in all lanes; 0 where components are not kept apart
 
     def where(self, mask: mi.Bool, other: Contribution) -> Contribution:
@@ -84,6 +86,17 @@ def largest_target(targets: Array) -> float:
     return float(longest * below[last] / (count - longest * above[last]))
 
 
+def brightness(value: mi.Color3f) -> mi.Float:
+    """What chains sample: luminance; under spectral variants the mean of all channels, since a path of few wavelengths
+    may have a colour of no luminance."""
+    return dr.maximum(mi.luminance(value), 0.0) if is_rgb() else dr.mean(dr.abs(value))
+
+
+def wavelengths_of(method: ImageMethod, source: SampleSource) -> AbstractContextManager[None]:
+    """The block in which paths are traced, with the wavelengths that ``source`` draws."""
+    return method.packet.drawn(source.next_1d(0, dim.WAVELENGTHS) if is_spectral() else None)
+
+
 def film_place(method: ImageMethod, source: SampleSource) -> mi.Point2f:
     """A film position in pixels, uniform over the film."""
     u = source.next_2d(0, dim.FILM)
@@ -95,26 +108,30 @@ def camera_slots(method: ImageMethod) -> tuple[list[Slot], list[Slot]]:
     lens = [Slot(dim.APERTURE, 2)] if method.camera.sensor.needs_aperture_sample() else []
     pick = [Slot(dim.NEXT_EVENT)] if method.lights.count > 1 else []
     inner = [Slot(dim.LOBE, decided=True), Slot(dim.DIRECTION, 2), *pick, Slot(dim.NEXT_EVENT + 1, 2)]
-    return [Slot(dim.FILM, 2), *lens], inner
+    return [Slot(dim.FILM, 2), *lens, *_wavelengths()], inner
 
 
 def light_slots(method: ImageMethod) -> tuple[list[Slot], list[Slot]]:
     """As :func:`camera_slots`, of a light sub-path; the aperture sample of a splat is that of vertex 1."""
     pick = [Slot(dim.LIGHT_PICK)] if method.lights.count > 1 else []
     lens = [Slot(dim.SPLAT_APERTURE, 2)] if method.camera.sensor.needs_aperture_sample() else []
-    end = [*pick, Slot(dim.LIGHT_POINT, 2), Slot(dim.LIGHT_DIRECTION, 2)]
+    end = [*pick, Slot(dim.LIGHT_POINT, 2), Slot(dim.LIGHT_DIRECTION, 2), *_wavelengths()]
     return end, [Slot(dim.LOBE, decided=True), Slot(dim.DIRECTION, 2), *lens]
+
+
+def _wavelengths() -> list[Slot]:
+    return [Slot(dim.WAVELENGTHS)] if is_spectral() else []
 
 
 ROULETTE = Slot(dim.ROULETTE, decided=True)
 
 
-def found_by(path: CameraPath, place: mi.Point2f) -> tuple[list[Contribution], mi.Bool]:
+def found_by(packet: Packet, path: CameraPath, place: mi.Point2f) -> tuple[list[Contribution], mi.Bool]:
     """(contributions of camera paths: one, or one for each component; mask of lanes that are not finite and 0)."""
-    radiance, bad = keep_finite(path.radiance)
+    radiance, bad = keep_finite(packet.rgb(path.radiance))
     if not path.by_component:
         return [Contribution(place, radiance)], bad
-    parts = enumerate(path.by_component)
+    parts = enumerate(map(packet.rgb, path.by_component))
     return [Contribution(place, dr.select(bad, 0.0, part), number) for number, part in parts], bad
 
 
@@ -131,16 +148,12 @@ class PathTarget:
         """See :class:`Target`."""
         method, source = self._method, sources["camera"]
         place = film_place(method, source)
-        ray, importance, _ = method.camera.through(place, source)
-        path = traced(
-            ray,
-            method.walker(Walker, proposal=method.settings.proposal),
-            DirectWeights(),
-            source,
-            **method.path_fields(),
-        )
-        path.weigh(importance)
-        contributions, bad = found_by(path, place)
+        with wavelengths_of(method, source):
+            ray, importance, _ = method.camera.through(place, source)
+            walker = method.walker(Walker, proposal=method.settings.proposal)
+            path = traced(ray, walker, DirectWeights(), source, **method.path_fields())
+            path.weigh(importance)
+            contributions, bad = found_by(method.packet, path, place)
         return Traced(contributions, path.rays, dr.select(bad, mi.UInt32(1), 0))
 
     def reads(self) -> Sequence[object]:

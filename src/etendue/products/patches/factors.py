@@ -8,21 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+
 from etendue.core import OptionError, Settings, suggest
 from etendue.engine import Job, RunResult, Task, silent
 from etendue.radiosity import (
     ESTIMATORS,
-    FORM_FACTOR_FILES,
+    Correction,
+    FormFactors,
     HierarchicalCasting,
     LineCasting,
     PartialSegments,
     PatchProblem,
     PatchSource,
-    check_file,
-    check_text_size,
+    between_groups,
+    check_factors,
+    check_threshold,
+    corrected,
     entry_bytes,
     exact_form_factors,
+    factor_format,
     form_factors,
+    group_index,
+    no_factors,
     partial_form_factors,
     save_form_factors,
 )
@@ -34,20 +42,27 @@ from .base import PatchProduct
 
 @dataclass(kw_only=True)
 class FormFactorProduct(PatchProduct[FormFactorResult]):
-    """Form factors by an ``estimator``, see :func:`etendue.radiosity.estimate`, and their ``outputs``."""
+    """Form factors by an ``estimator``, see :func:`etendue.radiosity.estimate`, and their ``outputs``; ``row_sums``,
+    ``reciprocal`` and ``threshold`` are corrections, see :func:`etendue.radiosity.corrected`. ``groups``: files have
+    the factors between groups, see :func:`etendue.radiosity.between_groups`."""
 
     kind: ClassVar[str] = "form factors"
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
 
     estimator: str = "F1"
+    row_sums: bool = False
+    reciprocal: bool = False
+    threshold: float = 0.0
+    groups: bool = False
     outputs: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.estimator not in ESTIMATORS:
             raise OptionError(f"there is no estimator '{self.estimator}'; {suggest(self.estimator, ESTIMATORS)}")
+        check_threshold(self.threshold)
         for path in self.outputs:
-            check_file(path, FORM_FACTOR_FILES)
+            factor_format(path)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -61,14 +76,31 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
 
     def check(self, problem: PatchProblem) -> None:
         """See :class:`Product`."""
+        rows = no_factors(problem.patches)
         for path in self.outputs:
-            if path.suffix.lower() == ".vf":
-                check_text_size(path, len(problem.patches), 0)
+            check_factors(path, between_groups(rows) if self.groups else rows)
 
     def notes(self) -> dict[str, Any]:
         """See :class:`Product`."""
-        known = {"estimator": self.estimator, "outputs": [str(path.absolute()) for path in self.outputs]}
+        known = {
+            "estimator": self.estimator,
+            **self._asked,
+            "groups": self.groups,
+            "outputs": [str(path.absolute()) for path in self.outputs],
+        }
         return {"product": {"kind": self.kind, **known}}
+
+    @property
+    def _asked(self) -> dict[str, Any]:
+        """The corrections that are asked for."""
+        named = {name: getattr(self, name) for name in ("row_sums", "reciprocal", "threshold")}
+        return {name: value for name, value in named.items() if value}
+
+    def _corrected(self, factors: FormFactors) -> tuple[FormFactors, Correction | None]:
+        if not self._asked:
+            return factors, None
+        made = corrected(factors, **self._asked)
+        return made.factors, made
 
     def _casting(self, task: Task, kind: Any, settings: Settings, problem: PatchProblem, **own: Any) -> LineCasting:
         if issubclass(kind, HierarchicalCasting):
@@ -79,13 +111,15 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def _make(self, job: Job, run: RunResult, writing: Writing, tell: Callable[[str], object]) -> FormFactorResult:
         bundles, segments = self._counted(job, run, tell)
         make: Any = partial_form_factors if isinstance(segments, PartialSegments) else form_factors
-        factors = make(segments, self.estimator)
-        known = self._metadata(job, bundles=bundles, estimator=self.estimator)
+        factors, correction = self._corrected(make(segments, self.estimator))
+        known = self._metadata(job, bundles=bundles, estimator=self.estimator, **self._asked)
         patches = job.problem.patches
-        self._write(writing, patches, factors, known)
+        groups = self._write(writing, patches, factors, known)
         return FormFactorResult(
             patches=patches,
             factors=factors,
+            correction=correction,
+            groups=groups,
             segments=segments,
             bundles=bundles,
             stopped_by=str(run.stopped_by),
@@ -101,13 +135,27 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         on_patches(problem.patches)
         tell("integrating over contours")
         begin = time.perf_counter()
-        factors = exact_form_factors(problem.patches)
+        factors, correction = self._corrected(exact_form_factors(problem.patches))
         elapsed, writing = time.perf_counter() - begin, Writing()
-        self._write(writing, problem.patches, factors, about(problem.source, estimator="exact"))
+        groups = self._write(writing, problem.patches, factors, about(problem.source, estimator="exact", **self._asked))
         writing.finish()
-        return FormFactorResult(patches=problem.patches, factors=factors, stopped_by="exact", elapsed=elapsed)
+        return FormFactorResult(
+            patches=problem.patches,
+            factors=factors,
+            correction=correction,
+            groups=groups,
+            stopped_by="exact",
+            elapsed=elapsed,
+        )
 
-    def _write(self, writing: Writing, patches: Any, factors: Any, known: dict[str, Any]) -> None:
+    def _write(self, writing: Writing, patches: Any, factors: FormFactors, known: dict[str, Any]) -> FormFactors | None:
+        """Write the files; returns the factors between groups, if these are asked for."""
+        emissivity, groups = 1 - patches.reflectance[:, 0], None
+        if self.groups:
+            groups, (names, group) = between_groups(factors), group_index(factors)
+            emitted = np.bincount(group, factors.areas * emissivity, len(names))
+            emissivity = emitted / np.where(groups.areas > 0, groups.areas, 1.0)
         for path in self.outputs:
             with writing.attempt(f"write '{path}'"):
-                save_form_factors(path, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
+                save_form_factors(path, groups or factors, emissivity=emissivity, metadata=known)
+        return groups

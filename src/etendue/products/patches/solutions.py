@@ -1,4 +1,5 @@
-"""Solutions of radiosity: by stored lines and a solver, by multipath, by boxes, or by an ambient term alone."""
+"""Solutions of radiosity: by stored lines and a solver, by multipath, by boxes, by given form factors, or by an
+ambient term alone."""
 
 from __future__ import annotations
 
@@ -6,7 +7,10 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
 
 from etendue.core import OptionError, Settings, is_whole, logger, prepared, suggest
 from etendue.distributed import Correspondence, Rounds, recipe
@@ -19,6 +23,7 @@ from etendue.radiosity import (
     MultipathPasses,
     PartProblem,
     PartSource,
+    Patches,
     PatchProblem,
     PatchSource,
     RadiosityError,
@@ -31,6 +36,7 @@ from etendue.radiosity import (
     form_factors,
     is_balanced,
     part_ingredients,
+    read_form_factors,
     relative_error,
     solve,
     sub_scenes,
@@ -60,6 +66,8 @@ _SHOT_RAYS, _LEAST_SHOT_RAYS = 1 << 20, 1 << 16
 _MOST_SHOT_RAYS, _SHOT_SHARE = 1 << 27, 0.5
 #: Share of missed segments from which a warning is given.
 _MISSED = 2e-3
+#: Relative difference of areas, and deviation of row sums from 1, that files of form factors may have: numbers in text.
+_SAME_AREA, _WHOLE_ROW = 1e-4, 1e-3
 
 
 @dataclass(kw_only=True)
@@ -72,6 +80,7 @@ class SolutionProduct(PatchProduct[RadiosityResult]):
         iterations.
     sub_scenes: with an ambient term for all light, whether light stays for longer in parts of the scene: the objects of
         the source, or ``boxes`` around groups of them.
+    factors: a file of the form factors of all patches, which are solved; no lines are cast.
     divide: with method ``boxes`` and workers, each worker has some of the boxes, with their lines; otherwise each makes
         whole passes.
     """
@@ -83,6 +92,7 @@ class SolutionProduct(PatchProduct[RadiosityResult]):
     ambient: str | None = None
     bounces: int | None = None
     sub_scenes: str | None = None
+    factors: Path | None = None
     divide: bool = False
     outputs: SolutionFiles = field(default_factory=SolutionFiles)
 
@@ -289,27 +299,53 @@ class SolutionProduct(PatchProduct[RadiosityResult]):
         self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
     ) -> RadiosityResult:
         """A solution without lines."""
-        assert self.ambient is not None
         problem = PatchSource.open(source, tell)
         if problem.lamps is not None:
-            raise OptionError("an ambient solution has no light of lamps without a surface; use method lines")
+            raise OptionError("without lines there is no light of lamps without a surface; use method lines")
         self.check(problem)
         on_patches(problem.patches)
         parts = self._parts(source, problem)
         begin = time.perf_counter()
-        solution = ambient_solution(problem.patches, self.ambient, parts)  # type: ignore[arg-type]
+        if self.factors is None:
+            assert self.ambient is not None
+            solution = ambient_solution(problem.patches, self.ambient, parts)  # type: ignore[arg-type]
+            known: dict[str, Any] = {"solver": f"ambient, {self.ambient}"}
+        else:
+            tell("solving")
+            solution = self._by_factors(self.factors, problem.patches)
+            known = {"solver": self.chosen_solver, "factors": str(self.factors)}
         result = RadiosityResult(
             patches=problem.patches,
             solution=solution,
-            stopped_by="ambient",
+            stopped_by="ambient" if self.factors is None else "factors",
             elapsed=time.perf_counter() - begin,
             is_balanced=check_balance(solution, None),
         )
-        known = {"solver": f"ambient, {self.ambient}", "imbalance": solution.imbalance, "settings": self.asked}
+        known |= {"imbalance": solution.imbalance, "settings": self.asked}
         writing = Writing()
         self._write(writing, problem.scene, result, about(problem.source, **known), tell, Making(self.asked))
         writing.finish()
         return result
+
+    def _by_factors(self, path: Path, patches: Patches) -> Solution:
+        factors = read_form_factors(path)
+        if len(factors) != len(patches):
+            raise RadiosityError(
+                f"'{path}' has {len(factors)} rows, and there are {len(patches)} patches: read the mesh as for the "
+                "form factors (max_area, ids, two_sided)"
+            )
+        other = np.flatnonzero(np.abs(factors.areas - patches.areas) > _SAME_AREA * patches.areas)
+        if len(other):
+            raise RadiosityError(
+                f"'{path}' is of other patches: row {other[0]} has the area {factors.areas[other[0]]:.6g}, and patch "
+                f"{other[0]} has {patches.areas[other[0]]:.6g}"
+            )
+        off = np.abs(factors.row_sums() + factors.dark - 1)[patches.areas > 0].max(initial=0.0)
+        if off > _WHOLE_ROW:
+            logger.warning("row sums of '%s' are off by up to %.2g, and the power of the solution with them", path, off)
+        if self.solver is None and factors.exchange_weights is None:
+            self.solver = "gauss-seidel"  # conjugate-gradient is for reciprocal factors
+        return solve(patches, factors, self.chosen_solver)  # type: ignore[arg-type]
 
     def _parts(self, source: PatchSource, problem: PatchProblem) -> SubScene | None:
         if self.sub_scenes is None:

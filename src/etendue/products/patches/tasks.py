@@ -94,6 +94,10 @@ class FactorRun(PatchRun):
 
     estimator: str | None = None
     walls: Any = None
+    row_sums: bool = False
+    reciprocal: bool = False
+    threshold: float = 0.0
+    groups: bool = False
     outputs: tuple[Path, ...] = ()
 
     def task(self) -> Task | AtOnce:
@@ -107,7 +111,9 @@ class FactorRun(PatchRun):
             self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
         source = PatchSource(**self._given(), walls=self.walls)
         estimator = self.estimator or ("F4" if around else "F1")
-        product = FormFactorProduct(**self._common(method), estimator=estimator, outputs=self.outputs)
+        names = ("row_sums", "reciprocal", "threshold", "groups", "outputs")
+        asked = {name: getattr(self, name) for name in names}
+        product = FormFactorProduct(**self._common(method), estimator=estimator, **asked)
         if method == EXACT:
             self._refuse_limits("method exact")
             product.check_files(False)
@@ -123,6 +129,7 @@ class SolutionRun(PatchRun):
     ambient: str | None = None
     bounces: int | None = None
     sub_scenes: str | None = None
+    factors: Path | None = None
     groups: Mapping[str, Any] = field(default_factory=dict)
     divide: bool = False
     outputs: SolutionFiles = field(default_factory=SolutionFiles)
@@ -132,6 +139,8 @@ class SolutionRun(PatchRun):
         method = current(self.method)
         if method in SOLVERS:
             raise OptionError(f"'{method}' is a solver of method lines: give solver {method}")
+        if self.factors is not None:
+            return self._on_factors()
         at_once = self.ambient is not None and self.bounces is None
         method = method or (AMBIENT if at_once else "lines")
         if method == AMBIENT:
@@ -166,6 +175,21 @@ class SolutionRun(PatchRun):
             self.outputs.check_errors(None, f"at least two {count} to estimate the error")
         return self._task(source, kind, product)
 
+    def _on_factors(self) -> AtOnce:
+        """Solve given form factors."""
+        self._check_light()
+        self._refuse_limits("form factors from a file")
+        asked, solves = self.asked(self.method), ("solver", "max_area", "mesh", "parameters", "seed")
+        if others := [name for name in asked if name not in (*solves, "factors")]:
+            raise OptionError(f"form factors are there and only a solver is needed: leave out {', '.join(others)}")
+        self.outputs.check_errors(None, "lines to estimate the error; leave it out")
+        product = SolutionProduct(
+            **self._common(AMBIENT), solver=self.solver, factors=self.factors, outputs=self.outputs, asked=asked
+        )
+        product.check_files(False)
+        source = PatchSource(**self._given(), size=self.outputs.size, sensor=self.outputs.sensor, for_light=True)
+        return AtOnce(source, product)
+
     def source_of_files(self) -> PatchSource:
         """The source, if only files are to be written."""
         self._check_light()
@@ -176,7 +200,7 @@ class SolutionRun(PatchRun):
         named: dict[str, Any] = {"method": None if method == "lines" else method, **self.limits}
         names = ("solver", "ambient", "bounces", "sub_scenes", "objects", "max_area", "mesh", "groups", "parameters")
         named |= {name: getattr(self, name) for name in (*names, "divide")} | dict(self.settings)
-        named["seed"] = self.seed or None
+        named |= {"seed": self.seed or None, "factors": None if self.factors is None else str(self.factors)}
         plain = {name: _given(value) for name, value in named.items()}
         return {name: value for name, value in plain.items() if value not in (None, False, {})}
 

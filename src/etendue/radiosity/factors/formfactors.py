@@ -26,6 +26,9 @@ Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal", "pooled"]
 NUMBERS = ("face", "label", "name")
 ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal", "pooled")
 
+#: Largest deviation of a repaired row sum from 1.
+_INEXACT = 1e-6
+
 
 @short_repr
 @dataclass(frozen=True)
@@ -94,42 +97,74 @@ class FormFactors(InNotebooks):
         matrix, errors = (_diagonal(scale) @ entries for entries in (self.matrix, self.errors))
         return replace(self, matrix=matrix, errors=errors, sky=self.sky * scale, dark=self.dark * scale)
 
+    def reciprocal(self) -> FormFactors:
+        """Form factors with ``A_i F_ij = A_j F_ji``: the mean of both, weighted by the lines per area of the patches as
+        in the estimator ``pooled``, so that the one with less noise counts more. The error is the mean of both errors,
+        as if they had the same lines. Row sums change."""
+        density = np.asarray(self.lines, dtype=np.float64) * inverse(self.areas)
+        # Exact factors have no lines; if only some rows have lines, the others hardly count.
+        density = np.maximum(density, 1e-12 * density.max()) if density.any() else np.ones(len(density))
+        exchange, errors = (_diagonal(density * self.areas) @ x for x in (self.matrix, self.errors))
+        mean = (exchange + exchange.T).tocoo()
+        noise = entries_of((errors + errors.T).tocsr(), mean.row, mean.col)
+        scale = self.areas[mean.row] * (density[mean.row] + density[mean.col])
+        matrix, errors = (
+            sparse().coo_array((data / scale, mean.coords), shape=mean.shape).tocsr() for data in (mean.data, noise)
+        )
+        return replace(self, matrix=matrix, errors=errors)
+
+    def truncated(self, threshold: float, *, pairs: bool = False) -> FormFactors:
+        """Form factors without those below ``threshold``. pairs: a factor stays if the one of the opposite direction,
+        ``A_i F_ij / A_j``, is not below it, so that reciprocal factors remain reciprocal. Row sums become smaller."""
+        entries = self.matrix.tocoo()
+        larger = entries.data
+        if pairs:
+            larger = larger * np.maximum(1, self.areas[entries.row] / self.areas[entries.col])
+        kept = larger >= threshold
+        row, column, n = entries.row[kept], entries.col[kept], len(self)
+        matrix, errors = (
+            sparse().coo_array((data, (row, column)), shape=(n, n)).tocsr()
+            for data in (entries.data[kept], entries_of(self.errors, row, column))
+        )
+        return replace(self, matrix=matrix, errors=errors)
+
     def repaired(self) -> FormFactors:
         """Form factors with every row sum 1, together with the share on backs of faces, and ``A_i F_ij = A_j F_ji``, by
         the smallest change.
 
-        The mean of ``A_i F_ij`` and ``A_j F_ji``, the shares of the sky and of backs are changed with the smallest
-        relative sum of squares, so that zeros remain zero. The error of ``A_i F_ij`` is the larger one of both
-        directions. Raises :class:`RadiosityError` if a factor would become negative, which means that there are too few
-        lines.
+        The mean of ``A_i F_ij`` and ``A_j F_ji`` (:meth:`reciprocal`), the shares of the sky and of backs are changed
+        with the smallest relative sum of squares, so that zeros remain zero. Errors stay those of the mean. Rows
+        without entries stay as they are. Raises :class:`RadiosityError` if a factor would become negative, which means
+        that there are too few lines, and if no factors with these zeros have both properties.
         """
         from scipy.sparse.linalg import lsmr
 
-        exchange = self._exchange()
-        exchange = ((exchange + exchange.T) / 2).tocsr()
+        mean = self.reciprocal()
+        exchange = mean._exchange()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
         ends = self.areas * (self.sky + self.dark)
         # The smallest changes have the form S_ij (x_i + x_j) for pairs, and S_i x_i for the sky and for backs, which
         # belong to one row. Row sums then require (diag(all sums) + S) x = missing.
         missing, system = self.areas - sums - ends, _diagonal(sums + ends) + exchange
         x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]
-        changed = exchange.tocoo()
+        left = np.where(sums + ends > 0, np.abs(missing - system @ x) * inverse(self.areas), 0.0)
+        if left.max(initial=0.0) > _INEXACT:
+            raise RadiosityError(
+                f"row sums and reciprocity cannot both be exact: the row of patch {left.argmax()} stays off by "
+                f"{left.max():.2g}, as what it sees is filled otherwise; cast more lines, or ask for one of both"
+            )
+        changed = mean.matrix.tocoo()
         factor = 1 + x[changed.row] + x[changed.col]
         if (factor < 0).any() or ((1 + x < 0) & (ends > 0)).any():
             raise RadiosityError("these form factors are too noisy to be repaired: cast more lines")
-        changed.data = changed.data * factor / self.areas[changed.row]
-        of_exchange = (_diagonal(self.areas) @ self.errors).tocsr()
-        errors = changed.copy()
-        errors.data = _entries(of_exchange.maximum(of_exchange.T.tocsr()), changed.row, changed.col)
-        errors.data /= self.areas[changed.row]
-        whole = {"sky": self.sky * (1 + x), "dark": self.dark * (1 + x)}
-        return replace(self, matrix=changed.tocsr(), errors=errors.tocsr(), **whole)
+        changed.data = changed.data * factor
+        return replace(mean, matrix=changed.tocsr(), sky=self.sky * (1 + x), dark=self.dark * (1 + x))
 
     def transposed(self) -> FormFactors:
         """Form factors of the opposite direction: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system
         with these factors are the powers per area that solve the system of powers (shooting) with F."""
-        areas, inverse = _diagonal(self.areas), _diagonal(_inverse(self.areas))
-        shot, errors = ((inverse @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
+        areas, per_area = _diagonal(self.areas), _diagonal(inverse(self.areas))
+        shot, errors = ((per_area @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
         return replace(self, matrix=shot, errors=errors)
 
     @property
@@ -138,7 +173,7 @@ class FormFactors(InNotebooks):
         exchange symmetric."""
         for weights in (self.areas, self.lines.astype(np.float64)):
             exchange = _diagonal(weights) @ self.matrix
-            if exchange.nnz == 0 or abs(exchange - exchange.T).max() <= 1e-9 * exchange.max():
+            if weights.any() and (exchange.nnz == 0 or abs(exchange - exchange.T).max() <= 1e-9 * exchange.max()):
                 return weights
         return None
 
@@ -233,17 +268,17 @@ def estimate(
     ==============  =========================================  =====================================================
     """
     check_estimator(estimator)
-    per_line = _inverse(lines)
+    per_line = inverse(lines)
     own = _diagonal(per_line) @ counts
     if estimator in ("F1", "reciprocal"):
         return own.tocsr()
     if estimator == "pooled":
         result = counts.tocoo()
-        density = lines * _inverse(areas)
+        density = lines * inverse(areas)
         result.data = 2 * result.data / (areas[result.row] * (density[result.row] + density[result.col]))
         return result.tocsr()
     transposed = counts.T.tocsr()
-    other = _diagonal(_inverse(areas)) @ transposed @ _diagonal(areas * per_line)
+    other = _diagonal(inverse(areas)) @ transposed @ _diagonal(areas * per_line)
     if estimator == "F2":
         return other.tocsr()
     if estimator == "F3":
@@ -271,7 +306,7 @@ def pair_errors(estimated: FormFactors, exact: FormFactors) -> float:
     return float(((estimated.matrix - exact.matrix) ** 2).sum())
 
 
-def _entries(matrix: scipy.sparse.csr_array, rows: NDArray[Any], columns: NDArray[Any]) -> Array:
+def entries_of(matrix: scipy.sparse.csr_array, rows: NDArray[Any], columns: NDArray[Any]) -> Array:
     """The entries of a matrix at the given rows and columns, 0 where it has none."""
     own, width = matrix.tocoo(), matrix.shape[1]
     keys, wanted = own.row.astype(np.int64) * width + own.col, rows.astype(np.int64) * width + columns
@@ -282,7 +317,7 @@ def _entries(matrix: scipy.sparse.csr_array, rows: NDArray[Any], columns: NDArra
     return np.where(keys[found] == wanted, own.data[found], 0.0)
 
 
-def _inverse(values: Array) -> Array:
+def inverse(values: Array) -> Array:
     """Inverse values, zero for zeros."""
     return np.divide(1.0, values, out=np.zeros(len(values)), where=np.asarray(values) > 0)
 

@@ -1,32 +1,26 @@
-"""Form factors and solutions in files for SciPy, readers of View3D's text, ParaView and renderers. Files are written
-atomically."""
+"""Solutions in files for NumPy, ParaView and renderers. Files are written atomically."""
 
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import sparse
-from etendue.film import replacing
-from etendue.formats import far_centre, netcdf_library, save_arrays, view3d_lines, write_gltf, write_mesh
+from etendue.formats import far_centre, netcdf_library, save_arrays, write_gltf, write_mesh
 from etendue.lighting import photometric as luminous
 from etendue.surfaces import face_sides, vertex_radiosity
 
 from ..errors import RadiosityError
-from ..factors.formfactors import NUMBERS, FormFactors, numbers_of
+from ..factors.formfactors import numbers_of
 from ..solvers.system import Solution
 from .colours import coloured_mesh
-from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors, write_solution
+from .netcdf import write_solution
 
-#: Suffixes of files of form factors and of solutions, and their meaning.
-FORM_FACTOR_FILES = {".npz": "arrays of NumPy", ".vf": "text of View3D", ".nc": "netCDF"}
+#: Suffixes of files of solutions, and their meaning.
 SOLUTION_FILES = {
     ".npz": "arrays of NumPy",
     ".vtu": "ParaView",
@@ -35,8 +29,6 @@ SOLUTION_FILES = {
     ".glb": "vertex colours in one file",
     ".gltf": "the same, as text",
 }
-#: View3D's text: additional bytes of a non-zero number compared with a zero, and largest size of a file in bytes.
-_ENTRY, _MOST_TEXT = 10.0, 4e9
 
 
 def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
@@ -49,95 +41,6 @@ def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
     if suffix == ".nc":
         netcdf_library(path)
     return suffix
-
-
-def check_text_size(path: str | os.PathLike[str], patches: int, entries: int) -> None:
-    """Raise :class:`RadiosityError` if View3D's text of ``patches`` patches, with ``entries`` non-zero entries, would
-    take more than 4 GB, or more than the free space of the disk."""
-    size = 2.0 * patches**2 + _ENTRY * min(entries, patches**2)
-    folder = Path(path).absolute().parent
-    free = shutil.disk_usage(folder).free if folder.is_dir() else np.inf
-    if size > min(free, _MOST_TEXT):
-        there = f"there are {free / 1e9:.3g}" if size > free else f"more than {_MOST_TEXT / 1e9:g} are of no use"
-        raise RadiosityError(
-            f"'{path}' would have {patches} x {patches} numbers and {size / 1e9:.3g} GB, {there}: write .npz, where "
-            "zeros take no place, or make patches larger"
-        )
-
-
-def save_form_factors(
-    path: str | os.PathLike[str],
-    factors: FormFactors,
-    *,
-    emissivity: ArrayLike = 1.0,
-    metadata: Mapping[str, Any] | None = None,
-) -> None:
-    """Write form factors by the suffix of ``path``.
-
-    ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
-        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity``, if known ``face``, ``label`` and
-        ``name`` of each row, and ``metadata`` (JSON).
-    ``.vf``: the text format of View3D 3.2: a heading, areas, the full matrix row by row, emissivities. It does not
-        contain the sky; rows of an open scene sum to less than 1. There is no place for numbers and names, but rows of
-        empty patches are written, so that the rows are those of the faces.
-    ``.nc``: netCDF with the content of ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
-        ``area``, ``sky_share``, ``lines``, ``emissivity``, ``face``, ``label``, ``name``.
-
-    emissivity: a number or (n,), written unchanged. metadata: values for JSON. Raises :class:`RadiosityError` for
-    another suffix, :class:`etendue.core.OutputError` if the file cannot be written.
-    """
-    suffix = check_file(path, FORM_FACTOR_FILES)
-    try:
-        emitted = np.broadcast_to(np.asarray(emissivity, dtype=np.float64), (len(factors),))
-    except ValueError:
-        raise RadiosityError(f"emissivity is a number or has one for each of {len(factors)} patches") from None
-    if suffix == ".vf":
-        check_text_size(path, len(factors), factors.matrix.nnz)
-        with replacing(path) as part, part.open("w", encoding="ascii") as file:
-            file.writelines(view3d_lines(factors.matrix.tocsr(), factors.areas, emitted, not factors.sky.any()))
-        return
-    if suffix == ".nc":
-        write_form_factors(path, factors, emitted, metadata)
-        return
-    matrix, errors = same_structure(factors)
-    # The names of the first six are those of SciPy.
-    save_arrays(
-        path,
-        {
-            "format": np.array(b"csr"),
-            "_is_array": np.array(True),
-            "shape": np.array(matrix.shape),
-            "data": matrix.data,
-            "indices": matrix.indices,
-            "indptr": matrix.indptr,
-            "errors": errors.data,
-            "areas": factors.areas,
-            "sky": factors.sky,
-            "dark": factors.dark,
-            "lines": factors.lines,
-            "emissivity": emitted,
-            **{name: values for name, values in factors.numbers.items() if values is not None},
-        },
-        metadata,
-    )
-
-
-def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
-    """Read a file that :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for
-    another file, :class:`FormatError` for a damaged netCDF file."""
-    if Path(path).suffix.lower() == ".nc":
-        return read_netcdf_form_factors(path)
-    try:
-        with np.load(path, allow_pickle=False) as saved:
-            structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
-            matrix, errors = (sparse().csr_array((saved[name], *structure), shape=shape) for name in ("data", "errors"))
-            numbers = {name: saved[name] for name in NUMBERS if name in saved}
-            dark = saved["dark"] if "dark" in saved else np.zeros(len(matrix.indptr) - 1)
-            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"], dark, **numbers)
-    except FileNotFoundError:
-        raise RadiosityError(f"there is no file of form factors '{path}'") from None
-    except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
-        raise RadiosityError(f"'{path}' is not a file of form factors that save_form_factors wrote as .npz") from error
 
 
 def save_solution(

@@ -12,10 +12,10 @@ def make_meters() -> type:
     """The sensor class for the current variant."""
 
     class Meters(mi.Sensor):
-        """``origins``, ``directions``: tensors (n, 3), of a film of n x 1 pixels; without them, all meters are on the
-        attribute ``shape``, uniform by area, and their rays point against its normals. ``irradiance``: whether camera
-        paths begin on the white ``surface`` at each origin, towards which the ray points; otherwise they begin with
-        the ray. ``turned``: of irradiance, the surface has any direction around the ray (``cylindrical``), or any
+        """``origins``, ``directions``: tensors (1, n, 3), of a film of n x 1 pixels; without them, all meters are on
+        the attribute ``shape``, uniform by area, and their rays point against its normals. ``irradiance``: whether
+        camera paths begin on the white ``surface`` at each origin, towards which the ray points; otherwise they begin
+        with the ray. ``turned``: of irradiance, the surface has any direction around the ray (``cylindrical``), or any
         direction at all (``spherical``)."""
 
         def __init__(self, props: mi.Properties) -> None:

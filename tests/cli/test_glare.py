@@ -1,0 +1,67 @@
+"""The command `glare`: what it prints, and options that are wrong."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from etendue import film
+from etendue.cli.main import main
+from etendue.core import Result
+from etendue.lighting import EFFICACY, View, glare
+
+
+@pytest.fixture
+def luminance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """A picture with two lamps, as ``a.exr`` in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    values = np.full((60, 60), 100.0, np.float32)
+    values[10:14, 20:24], values[25:28, 40:43] = 9000.0, 4000.0
+    film.write_exr("a.exr", Result({"image": np.repeat((values / EFFICACY)[..., None], 3, axis=2)}, {}))
+    return values
+
+
+def run(command: str) -> int:
+    return main(shlex.split(command))
+
+
+def test_the_command_prints_what_python_finds(luminance, capsys):
+    assert run("glare a.exr --view spherical --fov 180") == 0
+    lines = capsys.readouterr().out.splitlines()
+    found = glare(luminance, View("spherical", 180.0))
+    assert lines[0] == found.summary() and "2 sources" in lines[0]
+    rows = [line.split() for line in lines[-2:]]
+    assert sorted(round(float(row[0]), -1) for row in rows) == [4000.0, 9000.0]
+    # The middle is in row 12 and column 22 of 60, which are 180 degrees: 36 from the zenith, 66 from the left. Lower
+    # pixels have larger solid angles.
+    lamp = next(row for row in rows if row[0].startswith("9"))
+    assert float(lamp[2]) == pytest.approx(-24.0, abs=0.2) and float(lamp[3]) == pytest.approx(53.75, abs=0.2)
+    assert run("glare a.exr --view perspective --fov 90 --ev 1500 --threshold 5000 --low-light") == 0
+    found = glare(luminance, View("perspective", 90.0), vertical_illuminance=1500.0, threshold=5000.0, low_light=True)
+    assert capsys.readouterr().out.splitlines()[0] == found.summary()
+    assert run("glare a.exr --view spherical --threshold 1000x") == 0
+    assert "UGR -" in capsys.readouterr().out
+    assert run("glare a.exr --view perspective --fov 60") == 0
+    assert "of the hemisphere" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("a.exr", "--view"),
+        ("a.exr --view fisheye", "perspective or spherical"),
+        ("a.exr --view perspective", "give fov"),
+        ("a.exr --view spherical --threshold bright", "5x for 5 times the mean"),
+        ("a.exr --view spherical --threshold 0", "luminance above 0"),
+        ("a.exr --view spherical --ev 1", "more than the vertical illuminance"),
+        ("a.png --view spherical", "which is in an .exr"),
+        ("b.exr --view spherical", "there is no picture"),
+    ],
+)
+def test_bad_options(luminance, capsys, command, message):
+    assert run(f"glare {command}") in (2, 3)
+    error = capsys.readouterr().err
+    assert message in " ".join(error.split())
