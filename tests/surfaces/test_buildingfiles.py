@@ -144,6 +144,19 @@ def test_cityjson(tmp_path, kind):
     assert list(read_patches(path, ids="object").names) == ["b1"]
 
 
+def test_a_building_of_cityjson_is_made_of_its_parts(tmp_path):
+    """The footprint of the building has a coarser level than its part."""
+    data = city("Solid")
+    part, footprint = (
+        data["CityObjects"].pop("b1"),
+        {"type": "MultiSurface", "lod": "0", "boundaries": [[[0, 1, 2, 3]]]},
+    )
+    data["CityObjects"] = {"b": {"type": "Building", "geometry": [footprint], "children": ["p"]}, "p": part}
+    assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == ["p"]
+    data["CityObjects"]["b"].pop("children")
+    assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == ["b", "p"]
+
+
 def test_honeybee(tmp_path, caplog):
     path = written(tmp_path, "a.hbjson", honeybee())
     patches = read_patches(path)
@@ -215,10 +228,10 @@ def changed(data, *path, to):
         ),
         ("a.hbjson", changed(honeybee(), "units", to="Miles"), "not 'Miles'"),
         ("a.hbjson", changed(honeybee(), "rooms", 0, "faces", 0, to={"identifier": "x"}), "has no 'geometry'"),
-        ("a.rad", RAD + "void sphere s 0 0 4 0 0 0 1\n", "line 13: sphere 's' is no polygon"),
-        ("a.rad", RAD + "void glass g 0 0 3 1 1 1\ng polygon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 14: the material 'g'"),
-        ("a.rad", RAD + "grey polygon p 0 0 8 0 0 0 1 0 0 0 1\n", "line 13: polygon 'p' has 8 numbers"),
-        ("a.rad", RAD + "grey polygon p 0 0 9 0 0 0 1 0 0 0 1\n", "line 13: the primitive is incomplete"),
+        ("a.rad", RAD + "void sphere s 0 0 4 0 0 0 1\n", "line 12: sphere 's' is no polygon"),
+        ("a.rad", RAD + "void glass g 0 0 3 1 1 1\ng polygon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 13: the material 'g'"),
+        ("a.rad", RAD + "grey polygon p 0 0 8 0 0 0 1 0 0 0 1\n", "line 12: polygon 'p' has 8 numbers"),
+        ("a.rad", RAD + "grey polygon p 0 0 9 0 0 0 1 0 0 0 1\n", "line 12: the primitive is incomplete"),
         ("a.rad", "!xform a.rad\n", "line 1: commands are not run"),
     ],
 )

@@ -34,7 +34,7 @@ def read_building(path: Path) -> MeshFile:
     ``type`` and ``object`` of CityJSON, and the ``room`` of Honeybee. Raises :class:`PatchError` for other files.
     """
     try:
-        data = json.loads(path.read_text("utf-8"))
+        data = json.loads(path.read_text("utf-8-sig"))
     except ValueError as error:
         raise PatchError(f"{path} is no JSON: {error}") from None
     kind = data.get("type") if isinstance(data, dict) else None
@@ -115,16 +115,16 @@ def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     vertices = corners_of(data["vertices"], f"{path}: 'vertices'")
     if "transform" in data:
         vertices = vertices * data["transform"]["scale"] + data["transform"]["translate"]
-    for name, item in data["CityObjects"].items():
-        geometries = item.get("geometry", [])
-        finest = max((float(geometry.get("lod", 0)) for geometry in geometries), default=0.0)
-        for geometry in geometries:
-            if float(geometry.get("lod", 0)) < finest:
+    objects: dict[str, Any] = data["CityObjects"]
+    # The finest level of detail of an object and of its parts: a building may have a footprint beside those.
+    levels = {name: max((_level(g) for g in item.get("geometry", [])), default=-1.0) for name, item in objects.items()}
+    for name, item in objects.items():
+        finest = max([levels[name], *(levels.get(part, -1.0) for part in item.get("children", []))])
+        for geometry in item.get("geometry", []):
+            if _level(geometry) < finest:
                 continue
             if geometry["type"] not in _DEPTHS:
-                raise PatchError(
-                    f"{path}: '{name}' has a geometry of type {geometry['type']}: there are {list(_DEPTHS)}"
-                )
+                raise PatchError(f"{path}: '{name}' is a {geometry['type']}: there are {', '.join(_DEPTHS)}")
             semantics = geometry.get("semantics") or {"surfaces": [], "values": None}
             flat = _flat(geometry["boundaries"], semantics["values"], _DEPTHS[geometry["type"]])
             for number, (rings, meaning) in enumerate(flat):
@@ -141,6 +141,10 @@ def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
                     where=f"'{name}'",
                     groups={"type": kind, "object": name},
                 )
+
+
+def _level(geometry: dict[str, Any]) -> float:
+    return float(geometry.get("lod", 0))
 
 
 def _flat(boundaries: list[Any], values: list[Any] | None, depth: int) -> Iterator[tuple[list[list[int]], int | None]]:

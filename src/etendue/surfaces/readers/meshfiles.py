@@ -64,10 +64,10 @@ def read_patches(
     reflectance, emission, ids: also the name of a cell-data array of the file, with a value for each face; a patch of
         several faces gets their area-weighted mean. For the array ``"emissivity"`` the reflectance is one minus its
         values. Without them, those that the format defines (View3D's emissivities, Radiance's colours), else 0.
-    temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
-        reflectance, in W/m^2 (:func:`thermal`).
         For ids, also ``"groups"``: the first array of the file whose numbers have names, such as ``g``, ``o`` or
         ``usemtl`` of OBJ, ``solid`` of STL, ``gmsh:physical``. Names become those of the ``shapes`` of the patches.
+    temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
+        reflectance, in W/m^2 (:func:`thermal`).
     objects: an array of the file with the number of an object for each face, negative for walls; the objects become
         the ``shapes`` of the patches, for :func:`find_objects`.
 

@@ -80,10 +80,10 @@ def _numbers(path: Path, where: str, name: str, words: list[str]) -> Array:
 def _primitives(path: Path) -> Iterator[tuple[int, str, str, str, list[str]]]:
     """Line, modifier, kind, name and the last arguments, the numbers, of each primitive; of an alias, what it names."""
     words: list[tuple[int, str]] = []
-    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), 1):
-        if line.startswith("!"):
+    for number, text in enumerate(path.read_text("utf-8-sig", errors="replace").splitlines(), 1):
+        if text.startswith("!"):
             raise PatchError(f"{path}, line {number}: commands are not run; expand the file by Radiance's xform")
-        words += [(number, word) for word in line.split("#")[0].split()]
+        words += [(number, word) for word in text.split("#")[0].split()]
     place, line = 0, 1
     try:
         while place < len(words):
