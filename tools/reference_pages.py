@@ -70,7 +70,7 @@ def room_page(module: ModuleType) -> list[str]:
     """The reference of a room: its names that no room before it defines."""
     name = module.__name__
     lines = [*heading(f"{name}: {ROOMS[name]}", "="), "", f".. py:module:: {name}", ""]
-    lines += [*inspect.getdoc(module).split("\n"), ""] if module.__doc__ else []
+    lines += [*(inspect.getdoc(module) or "").split("\n"), ""]
     kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Errors": [], "Constants": []}
     for public, value, owner in public_names(module):
         if owner != name:
