@@ -145,7 +145,8 @@ def folder(tmp_path_factory, variant):
         shutil.copy(path / "converged.exr", path / copy)
     (path / "desks.csv").write_text("0 0 0.5 0 0 1\n")
     written(path, year()).rename(path / "bern.epw")
-    (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for number, name in enumerate(("hall", "desks", "trees")):
+        (path / f"{name}.obj").write_text(f"v 0 0 {number}\nv 1 0 {number}\nv 0 1 {number}\nf 1 2 3\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
         meshio.write(path / f"{name}.vtu", meshio.Mesh(*triangle, cell_data=arrays))

@@ -68,6 +68,14 @@ Ids = Annotated[
 TwoSided = Annotated[
     bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
 ]
+More = Annotated[
+    list[Path] | None,
+    typer.Option("--more", help="Further mesh, whose faces are patches, too; repeatable.", metavar="FILE"),
+]
+Obstacles = Annotated[
+    list[Path] | None,
+    typer.Option("--obstacles", help="Mesh whose faces only occlude; repeatable.", metavar="FILE"),
+]
 LineSeed = Annotated[
     int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
 ]
@@ -100,6 +108,12 @@ def _solution_methods() -> dict[str, Any]:
 
 FactorCommand = with_settings(_factor_methods, "lines")
 SolutionCommand = with_settings(_solution_methods, "lines")
+
+
+def _further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
+    """Arguments of ``read_patches``: further files, where a checkpoint finds them again."""
+    named = {"more": more, "obstacles": obstacles}
+    return {name: [str(path.absolute()) for path in files] if files else None for name, files in named.items()}
 
 
 def form_factors(
@@ -167,6 +181,8 @@ def form_factors(
     ids: Ids = None,
     max_area: MaxArea = None,
     two_sided: TwoSided = False,
+    more: More = None,
+    obstacles: Obstacles = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
@@ -205,7 +221,7 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
+        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided} | _further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -311,6 +327,8 @@ def radiosity(
     ] = None,
     ids: Ids = None,
     two_sided: TwoSided = False,
+    more: More = None,
+    obstacles: Obstacles = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
     divide: Annotated[
@@ -429,7 +447,8 @@ def radiosity(
             "ids": ids,
             "sky": sky_of(sky),
             "two_sided": two_sided,
-        },
+        }
+        | _further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),
