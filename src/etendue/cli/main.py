@@ -400,18 +400,23 @@ def check(
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Test the materials, lights, sensors and ray casting of a scene, and report what is implausible.
+    """Test the materials, lights, sensors and ray casting of a scene, or the faces of a mesh, and report what is wrong.
 
     Exit status 1 if something fails.
     """
     from etendue.scene import locate
+    from etendue.surfaces import is_mesh_file
 
     from .inspection.check import show_check
     from .running import choose_device
 
     parameters = opt.parse_pairs(param, "-P")
-    found = locate(scene, lambda text: note(error_console(), text))
-    choose_device(variant, threads, scene=found)
+    found: Any = Path(scene)
+    if is_mesh_file(found):
+        choose_device(variant, threads)
+    else:
+        found = locate(scene, lambda text: note(error_console(), text))
+        choose_device(variant, threads, scene=found)
     return show_check(found, quick=quick, sensor=sensor, seed=seed, parameters=parameters, as_json=json)
 
 

@@ -76,6 +76,12 @@ Obstacles = Annotated[
     list[Path] | None,
     typer.Option("--obstacles", help="Mesh whose faces only occlude; repeatable.", metavar="FILE"),
 ]
+Orient = Annotated[
+    str | None,
+    typer.Option(
+        "--orient", help="Turn the faces of a mesh: outward (of solids) or inward (into rooms).", metavar="SIDE"
+    ),
+]
 LineSeed = Annotated[
     int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
 ]
@@ -183,6 +189,7 @@ def form_factors(
     two_sided: TwoSided = False,
     more: More = None,
     obstacles: Obstacles = None,
+    orient: Orient = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
@@ -329,6 +336,7 @@ def radiosity(
     two_sided: TwoSided = False,
     more: More = None,
     obstacles: Obstacles = None,
+    orient: Orient = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
     divide: Annotated[
@@ -447,6 +455,7 @@ def radiosity(
             "ids": ids,
             "sky": sky_of(sky),
             "two_sided": two_sided,
+            "orient": orient,
         }
         | _further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),

@@ -27,6 +27,7 @@ from etendue.surfaces import (
     find_objects as find_objects,
     gltf_mesh as gltf_mesh,
     joined as joined,
+    orientation as orientation,
     read_patches as read_patches,
     save_lightmap as save_lightmap,
     save_textured_mesh as save_textured_mesh,

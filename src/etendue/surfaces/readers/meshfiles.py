@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, library, logger, suggest
 
 from ..errors import PatchError
-from ..faces import face_vectors, flat_faces, repeated
+from ..faces import face_vectors, flat_faces, named_faces, repeated
 from ..heat import thermal
+from ..orienting import orientation, turned
 from ..patches import Patches, warn_of_rounded
 from .buildingfiles import read_building
 from .joining import joined_files
@@ -32,8 +33,6 @@ Index = NDArray[np.int64]
 
 #: Supported cell types.
 _FACES = ("triangle", "quad")
-#: Number of broken faces that a warning names.
-_NAMED = 20
 #: Suffixes that trimesh reads and meshio does not.
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 #: Suffixes of text that is read here, and of files that may be VTK's PolyData.
@@ -61,6 +60,7 @@ def read_patches(
     objects: str | None = None,
     more: Sequence[str | Path] = (),
     obstacles: Sequence[str | Path] = (),
+    orient: str | None = None,
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
 
@@ -75,6 +75,8 @@ def read_patches(
         the ``shapes`` of the patches, for :func:`find_objects`.
     more, obstacles: further files: of patches, and of faces that only occlude. Of arrays, those are read that all files
         of patches have; ``"file"`` numbers these files, and names them.
+    orient: ``"outward"`` turns the faces whose fronts are not outside of solids, ``"inward"`` those whose fronts are
+        not inside of rooms (:func:`orientation`); a warning names them.
 
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
     without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
@@ -125,7 +127,7 @@ def read_patches(
     kelvin = of_patches(temperature, "temperature")
     patches = Patches(
         vertices,
-        faces,
+        faces if orient is None else _oriented(path, vertices, faces, rows, left_out, orient),
         reflectance=of_patches(reflectance, "reflectance", 0.0),
         emission=0.0 if temperature is not None else of_patches(emission, "emission", 0.0),
         ids=labels[rows],
@@ -142,11 +144,32 @@ def read_patches(
                 f"{path}, array '{objects}': {_torn(labels[seen], numbers)}; a patch belongs to one object"
             )
     else:
-        named = [ids] if isinstance(ids, str) else mesh.names
-        for array in named:
+        for array in [ids] if isinstance(ids, str) else mesh.names:
             if array in mesh.names and _set_shapes(patches, labels[seen], cells[array][seen], mesh.names[array]):
                 break
     return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+
+
+def _oriented(path: Path, vertices: Array, faces: Index, rows: Index, left_out: Index, orient: str) -> Index:
+    """The faces with their fronts outward or inward."""
+    if orient not in ("outward", "inward"):
+        raise PatchError(f"faces are turned outward or inward, not '{orient}'")
+    found = orientation(Patches(vertices, faces, numbers=rows, left_out=left_out), inward=orient == "inward")
+    for which, what in ((found.wrong, "turned"), (found.undecided, "left as they are, both sides being alike")):
+        if len(which):
+            logger.warning(
+                "%s: of %d faces %d are %s: face %s (counted from 0)",
+                *(path, rows[-1] + 1, len(which)),
+                what,
+                named_faces(which),
+            )
+    return np.where(np.isin(rows, found.wrong)[:, None], turned(faces), faces)
+
+
+def is_mesh_file(path: Path) -> bool:
+    """Whether a file has the suffix of a mesh that is no model of a scene, such as ``.vtu`` or ``.vs3``."""
+    suffix = path.suffix.lower()
+    return suffix in _SURFACES or suffix in _VTK or suffix in (".vtu", ".msh", ".dae", ".3mf")
 
 
 def _read(path: Path) -> MeshFile:
@@ -235,11 +258,10 @@ def broken_faces(
     of = np.arange(len(faces)) if rows is None else rows
     gone = np.setdiff1d(of, np.delete(of, left_out))
     if len(gone):
-        named = ", ".join(map(str, gone[:_NAMED])) + (", ..." if len(gone) > _NAMED else "")
         doubled = len(np.intersect1d(gone, of[twice]))
         logger.warning(
             "%s: of %d faces %d have no area and %d are duplicates; they are left out%s: face %s (counted from 0)",
-            *(where, of[-1] + 1, len(gone) - doubled, doubled, then, named),
+            *(where, of[-1] + 1, len(gone) - doubled, doubled, then, named_faces(gone)),
         )
     return left_out
 
