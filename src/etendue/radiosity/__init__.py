@@ -86,6 +86,7 @@ from .files.results import (
 )
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
 from .gradients import Gradient as Gradient, gradient as gradient, gradient_error as gradient_error
+from .heat import Conditions as Conditions, HeatBalance as HeatBalance, heat_balance as heat_balance
 from .hierarchical_factors.allocation import (
     allocated as allocated,
     area_shares as area_shares,
