@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Callback,
         DaylightResult,
         FormFactorResult,
+        HeatResult,
         PathLike,
         RadiosityResult,
         Readings,
@@ -338,6 +339,69 @@ def compute_form_factors(
     )
     without_hierarchy(run, settings.pop("hierarchy", None))
     return _run_on_patches(run, compute_form_factors, settings, variant, callback, cluster, workers, wait)
+
+
+def solve_heat(
+    mesh: Any,
+    conditions: PathLike,
+    loads: PathLike | None = None,
+    *,
+    surroundings: float = 0.0,
+    factors: PathLike | None = None,
+    solver: str | None = None,
+    seconds: float | None = None,
+    bundles: int | None = None,
+    error: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    variant: str | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    **settings: Any,
+) -> HeatResult:
+    """Temperatures and heat of the groups of a mesh that exchange heat by radiation.
+
+    mesh: as for :func:`compute_form_factors`; groups are its named shapes, or its labels.
+    conditions: a table with a row for each group: its temperature, or its heat flux, power or exchange with a body of
+        known temperature, and its emissivity. loads: a table with a row for each case, such as an hour. See
+        :func:`etendue.radiosity.read_conditions`.
+    surroundings: temperature in kelvin of the black sky around an open mesh.
+    factors: a file of the form factors of all patches; without it they are computed, by ``bundles``, ``seconds`` or
+        ``error`` as by :func:`compute_form_factors`, and repaired: heat is neither lost nor gained.
+    save: ``.csv``, ``.npz``, or ``.vtu`` of one case.
+
+    Raises :class:`etendue.radiosity.RadiosityError` for conditions that cannot be, see
+    :func:`etendue.radiosity.heat_balance`; the other errors are those of :func:`compute_form_factors`.
+    """
+    import numpy as np
+
+    from etendue.products import HeatResult, heat_files
+    from etendue.radiosity import (
+        PatchSource,
+        factors_of_patches,
+        group_index,
+        heat_balance,
+        no_factors,
+        read_conditions,
+    )
+
+    source = PatchSource(source=mesh, max_area=max_area)
+    patches = source.open().patches
+    names, group = group_index(no_factors(patches))
+    known, cases = read_conditions(
+        Path(conditions), names.tolist(), group, patches.areas, None if loads is None else Path(loads)
+    )
+    known.arrays(len(patches))
+    files = heat_files(save, len(cases))
+    if factors is None:
+        asked: Any = {"seconds": seconds, "bundles": bundles, "error": error, "variant": variant, "seed": seed}
+        made = compute_form_factors(patches, row_sums=True, reciprocal=True, **asked, **settings).factors
+    else:
+        made = factors_of_patches(factors, patches)
+    balance = heat_balance(patches, made, known, surroundings=np.float64(surroundings), solver=solver)  # type: ignore[arg-type]
+    result = HeatResult(balance, made, names.tolist(), group, cases)
+    for path in files:
+        result.save(path)
+    return result
 
 
 @_verb

@@ -34,6 +34,7 @@ from .console import (
 )
 from .developing import develop
 from .film_picture import film_picture
+from .heating import heat
 from .inspection.viewing import view
 from .interrupts import leaving
 from .measuring import DaylightCommand, MeasureCommand, daylight, measure
@@ -375,6 +376,7 @@ def points(
 
 app.command(cls=FactorCommand)(form_factors)
 app.command(cls=SolutionCommand)(radiosity)
+app.command()(heat)
 app.add_typer(particles, name="particles")
 
 

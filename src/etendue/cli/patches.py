@@ -116,7 +116,7 @@ FactorCommand = with_settings(_factor_methods, "lines")
 SolutionCommand = with_settings(_solution_methods, "lines")
 
 
-def _further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
+def further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
     """Arguments of ``read_patches``: further files, where a checkpoint finds them again."""
     named = {"more": more, "obstacles": obstacles}
     return {name: [str(path.absolute()) for path in files] if files else None for name, files in named.items()}
@@ -228,7 +228,8 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided} | _further(more, obstacles),
+        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided, "orient": orient}
+        | further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -457,7 +458,7 @@ def radiosity(
             "two_sided": two_sided,
             "orient": orient,
         }
-        | _further(more, obstacles),
+        | further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),

@@ -69,11 +69,13 @@ from .factors.gebhart import gebhart_factors as gebhart_factors
 from .factors.groups import between_groups as between_groups, group_index as group_index, row_names as row_names
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
 from .files.colours import coloured_mesh as coloured_mesh
+from .files.conditions import read_conditions as read_conditions
 from .files.factorfiles import (
     FACTOR_FORMATS as FACTOR_FORMATS,
     FactorFormat as FactorFormat,
     check_factors as check_factors,
     factor_format as factor_format,
+    factors_of_patches as factors_of_patches,
     no_factors as no_factors,
     read_form_factors as read_form_factors,
     save_form_factors as save_form_factors,
