@@ -388,7 +388,7 @@ def solve_heat(
     patches = source.open().patches
     names, group = group_index(no_factors(patches))
     known, cases = read_conditions(
-        Path(conditions), names.tolist(), group, patches.areas, None if loads is None else Path(loads)
+        Path(conditions), names.tolist(), group, patches, None if loads is None else Path(loads)
     )
     known.arrays(len(patches))
     files = heat_files(save, len(cases))

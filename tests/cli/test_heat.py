@@ -96,6 +96,21 @@ def test_power_and_surroundings_of_a_body():
     assert float(found["temperature"]) == pytest.approx((250**4 + 100 / 0.8 / SIGMA) ** 0.25, rel=1e-8)
 
 
+def test_the_emissivity_of_the_mesh():
+    """View3D's, if the table has none: of two large plates close to each other, q = sigma (T_1^4 - T_2^4) / 9."""
+    corners = [
+        f"V {4 * z + k + 1} {x} {y} {0.001 * z}"
+        for z in (0, 1)
+        for k, (x, y) in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)])
+    ]
+    plates = ["S 1 1 2 3 4 0 0 0.2 low", "S 2 8 7 6 5 0 0 0.2 high"]
+    Path("plates.vs3").write_text("\n".join(["T", "F 3", *corners, *plates, "End of Data", ""]))
+    Path("c.csv").write_text("group,temperature\nlow,400\nhigh,300\n")
+    assert run("plates.vs3 -c c.csv --bundles 1024") == 0
+    found = float(rows("heat.csv")[0]["heat"])
+    assert found == pytest.approx(SIGMA * (400**4 - 300**4) / (2 / 0.2 - 1), rel=0.02)
+
+
 def test_turned_faces_of_form_factors():
     """--orient reaches the mesh."""
     turned = Path("room.obj").read_text().replace("f 5 7 3 1", "f 1 3 7 5")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, suggest
+from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from ..heat import Conditions
@@ -22,14 +23,15 @@ _OTHERS = "*"
 
 
 def read_conditions(
-    path: Path, names: Sequence[str], group: NDArray[np.int64], areas: Array, loads: Path | None = None
+    path: Path, names: Sequence[str], group: NDArray[np.int64], patches: Patches, loads: Path | None = None
 ) -> tuple[Conditions, list[str]]:
     """Conditions of patches (n,) whose ``group`` has one of ``names``, and the names of cases.
 
     path: a table with the columns ``group`` and some of ``temperature`` (K), ``flux`` (W/m^2, or ``adiabatic``),
-    ``power`` (W of the whole group), ``conductance`` (W/(m^2 K)), ``ambient`` (K) and ``emissivity`` (1 if there is no
-    such column). The group ``*`` is every other one. loads: a table of cases, such as hours: the first column names
-    them, and ``GROUP:COLUMN`` takes the place of a number of the other table.
+    ``power`` (W of the whole group), ``conductance`` (W/(m^2 K)), ``ambient`` (K) and ``emissivity`` (by default that
+    of the mesh, one minus its reflectance; 1 of coloured patches). The group ``*`` is every other one.
+    loads: a table of cases, such as hours: the first column names them, and ``GROUP:COLUMN`` takes the place of a
+    number of the other table.
 
     Raises :class:`RadiosityError` for groups that are not there or have no condition, and for what is no number.
     """
@@ -58,13 +60,15 @@ def read_conditions(
             values[column][g] = value
     for (g, column), series in changes.items():
         values[column][g] = series
-    sizes = np.bincount(group, areas, len(names))[:, None]
+    sizes = np.bincount(group, patches.areas, len(names))[:, None]
     values["flux"] = np.where(np.isnan(values["power"]), values["flux"], values["power"] / np.maximum(sizes, 1e-300))
     _check(path, names, values)
-    values["emissivity"] = np.nan_to_num(values["emissivity"], nan=1.0)
     for column in ("flux", "conductance", "ambient"):
         values[column] = np.nan_to_num(values[column])
-    return Conditions(**{name: values[name][group] for name in Conditions.__dataclass_fields__}), cases
+    of_patches = {name: values[name][group] for name in Conditions.__dataclass_fields__}
+    own = 1 - patches.reflectance if patches.channels == 1 else np.ones((len(patches), 1))
+    of_patches["emissivity"] = np.where(np.isnan(of_patches["emissivity"]), own, of_patches["emissivity"])
+    return Conditions(**of_patches), cases
 
 
 def _check(path: Path, names: Sequence[str], values: dict[str, Array]) -> None:
