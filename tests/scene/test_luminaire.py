@@ -212,12 +212,37 @@ def test_illuminance_of_a_plane(spectral, folder):
     assert expected.max() > 3 * expected.min()
 
 
+#: Methods whose passes depend on each other, or learn: (camera paths of a pass and pixel, settings).
+REPLICAS: dict[str, tuple[int, dict[str, Any]]] = {
+    "bpt": (64, {}),
+    "bpt learned": (64, {"guide_emission": "on"}),
+    "vcm": (64, {"radius": 0.02}),
+    "guided": (64, {"cell_samples": 500}),
+    "auto": (64, {"radius": 0.01}),
+    "sppm": (64, {"radius": 0.01, "light_paths": 16.0}),
+    "pssmlt": (128, {"bootstrap": 1 << 14}),
+    "mmlt": (64, {"bootstrap": 1 << 12}),
+}
+
+
 @pytest.mark.parametrize(
     ("method", "name"),
-    [("light", "lopsided"), ("bpt", "narrow"), ("bpt learned", "lopsided"), ("vcm", "lopsided"), ("mitsuba", "narrow")],
+    [
+        ("light", "lopsided"),
+        ("bpt", "narrow"),
+        ("bpt learned", "lopsided"),
+        ("vcm", "lopsided"),
+        ("guided", "lopsided"),
+        ("auto", "narrow"),
+        ("sppm", "lopsided"),
+        ("pssmlt", "narrow"),
+        ("mmlt", "lopsided"),
+        ("mitsuba", "narrow"),
+    ],
 )
 def test_methods_agree(method, name, folder):
-    """Light paths, connections, merges and learned directions against ``path``, beside another lamp."""
+    """Light paths, connections, merges, photons, guides, chains and learned directions against ``path``, beside another
+    lamp."""
     other = scenes.EMITTERS["spot"]()["light"] | {"intensity": 0.3}
     problem = load(stage(lamp(folder, name), ball=scenes.thing("phong", (-0.5, 0.302, 0.3)), other=other))
     reference = run(problem, "path", 8, 256, max_depth=4).images
@@ -226,8 +251,8 @@ def test_methods_agree(method, name, folder):
     elif method == "light":
         images = run(problem, method, 8, 256, max_depth=4).images
     else:
-        settings = {"bpt": {}, "bpt learned": {"guide_emission": "on"}, "vcm": {"radius": 0.02}}[method]
-        images = replicas(problem, method.split()[0], 6, 2, 64, max_depth=4, **settings)
+        samples, settings = REPLICAS[method]
+        images = replicas(problem, method.split()[0], 6, 2, samples, max_depth=4, **settings)
     assert_agree(images, reference, (method, name), precision=0.03)
 
 
