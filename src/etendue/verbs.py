@@ -128,6 +128,8 @@ def measure(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     photometric: bool = False,
+    checkpoint: PathLike | None = None,
+    save_every: float | None = None,
     cluster: Any = None,
     workers: int | None = None,
     wait: bool = True,
@@ -143,8 +145,9 @@ def measure(
         ``spherical`` irradiance.
     method: ``path``, ``guided`` or ``bpt``.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
-        relative standard error; without limits 4096 paths.
+        relative standard error; without limits 4096 paths. Two passes are made in any time, for the standard errors.
     save: tables, ``.csv``, and of a grid pictures in false colours, ``.png``; with ``photometric`` in lx or cd/m^2.
+    checkpoint: a file for :func:`resume`.
 
     Paths have any number of edges unless ``max_depth`` says otherwise; 2 is the direct light. The other arguments and
     the errors are those of :func:`render`; :class:`etendue.lighting.LightingError` for meters that are not valid,
@@ -155,7 +158,7 @@ def measure(
     from etendue.scene import SceneSource, colours_of
 
     placed = _meters(meters, directions, quantity)
-    product = MeterTable.of(placed, save, photometric)
+    product = MeterTable.of(placed, save, photometric, save_every, checkpoint=checkpoint)
     use_variant(variant, colours_of(scene))
     kind = choose_method(method, scene, parameters)
     kind.Settings.check_arguments(settings, f"method '{kind.name}'", measure)

@@ -165,7 +165,7 @@ app.command(cls=DaylightCommand)(daylight)
 def resume(
     checkpoint: Annotated[
         Path,
-        typer.Argument(help="File that a rendering, radiosity or particle command wrote.", metavar="CHECKPOINT"),
+        typer.Argument(help="Checkpoint or file of particles that another command wrote.", metavar="CHECKPOINT"),
     ],
     output: opt.Output = None,
     scene: Annotated[str | None, typer.Option(help="New path of the scene, if it has moved.", metavar="SCENE")] = None,
@@ -204,7 +204,7 @@ def resume(
     from dataclasses import replace
 
     from etendue.engine import Job
-    from etendue.products import Picture, saved_task
+    from etendue.products import MeterTable, Picture, saved_task
 
     from .experiments.records import Recorder, run_of
     from .running import choose_device, render_to_files
@@ -218,6 +218,10 @@ def resume(
         from .particles import trace_to_file
 
         return trace_to_file(task, device, saved)
+    if task.product.kind == MeterTable.kind:
+        from .measuring import resume_measuring
+
+        return resume_measuring(task, device, saved)
     if task.product.kind != Picture.kind:
         from .lines import run_on_patches
 
