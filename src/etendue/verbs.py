@@ -370,6 +370,7 @@ def solve_radiosity(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     photometric: bool = False,
+    scale: tuple[float | None, float | None] = (None, None),
     size: tuple[int, int] | None = None,
     sensor: int = 0,
     gather: int = 0,
@@ -414,6 +415,7 @@ def solve_radiosity(
         pictures, ``.exr`` or ``.png``. The picture is also in the result.
     photometric: also illuminance in lx and luminous exitance in lm/m^2, as arrays of ``.vtu``, ``.npz`` and ``.nc`` and
         on the page; the picture is of irradiance, a ``.png`` of illuminance in false colours.
+    scale: low and high end of these colours in lx; ``None``: chosen.
     size, sensor, gather, spp, smooth: options of pictures, see :func:`etendue.products.patches.picture`.
     error_picture: beside a ``.png``, write its relative standard error in false colours.
     lightmap: an ``.exr`` file, or a ``.glb``, ``.gltf`` or ``.obj`` file for the mesh with the ``.exr`` beside it; of
@@ -445,6 +447,7 @@ def solve_radiosity(
         outputs=SolutionFiles(
             files=listed(save),
             photometric=photometric,
+            scale=scale,
             size=size,
             sensor=sensor,
             gather=gather,
