@@ -314,11 +314,14 @@ def diff(
 def glare(
     picture: Annotated[Path, typer.Argument(help="A rendering from the position of the eye.", metavar="PICTURE.exr")],
     view: Annotated[
-        str, typer.Option("--view", help="The sensor of the picture: spherical or perspective.", metavar="NAME")
-    ],
+        str | None,
+        typer.Option(
+            "--view", help="The sensor of the picture: spherical or perspective; by default its own.", metavar="NAME"
+        ),
+    ] = None,
     fov: Annotated[
         float | None,
-        typer.Option("--fov", help="Its field of view; spherical: of longitude, 360.", metavar="DEGREES"),
+        typer.Option("--fov", help="With --view, its field of view; spherical: of longitude, 360.", metavar="DEGREES"),
     ] = None,
     fov_axis: Annotated[
         str,
@@ -346,7 +349,9 @@ def glare(
     from .inspection.glare import show_glare
 
     wanted: Any = {"projection": view, "fov": fov, "fov_axis": fov_axis}
-    return show_glare(picture, View(**wanted), illuminance, threshold, low_light)
+    if view is None and fov is not None:
+        raise OptionError("--fov is that of a --view; give both, or none if the picture tells its camera")
+    return show_glare(picture, None if view is None else View(**wanted), illuminance, threshold, low_light)
 
 
 @app.command()
