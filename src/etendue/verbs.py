@@ -129,6 +129,8 @@ def measure(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     photometric: bool = False,
+    checkpoint: PathLike | None = None,
+    save_every: float | None = None,
     cluster: Any = None,
     workers: int | None = None,
     wait: bool = True,
@@ -144,8 +146,9 @@ def measure(
         ``spherical`` irradiance.
     method: ``path``, ``guided`` or ``bpt``.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
-        relative standard error; without limits 4096 paths.
+        relative standard error; without limits 4096 paths. Two passes are made in any time, for the standard errors.
     save: tables, ``.csv``, and of a grid pictures in false colours, ``.png``; with ``photometric`` in lx or cd/m^2.
+    checkpoint: a file for :func:`resume`.
 
     Paths have any number of edges unless ``max_depth`` says otherwise; 2 is the direct light. The other arguments and
     the errors are those of :func:`render`; :class:`etendue.lighting.LightingError` for meters that are not valid,
@@ -156,7 +159,7 @@ def measure(
     from etendue.scene import SceneSource, colours_of
 
     placed = _meters(meters, directions, quantity)
-    product = MeterTable.of(placed, save, photometric)
+    product = MeterTable.of(placed, save, photometric, save_every, checkpoint=checkpoint)
     use_variant(variant, colours_of(scene))
     kind = choose_method(method, scene, parameters)
     kind.Settings.check_arguments(settings, f"method '{kind.name}'", measure)
@@ -431,6 +434,7 @@ def solve_radiosity(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     photometric: bool = False,
+    scale: tuple[float | None, float | None] = (None, None),
     size: tuple[int, int] | None = None,
     sensor: int = 0,
     gather: int = 0,
@@ -475,6 +479,7 @@ def solve_radiosity(
         pictures, ``.exr`` or ``.png``. The picture is also in the result.
     photometric: also illuminance in lx and luminous exitance in lm/m^2, as arrays of ``.vtu``, ``.npz`` and ``.nc`` and
         on the page; the picture is of irradiance, a ``.png`` of illuminance in false colours.
+    scale: low and high end of these colours in lx; ``None``: chosen.
     size, sensor, gather, spp, smooth: options of pictures, see :func:`etendue.products.patches.picture`.
     error_picture: beside a ``.png``, write its relative standard error in false colours.
     lightmap: an ``.exr`` file, or a ``.glb``, ``.gltf`` or ``.obj`` file for the mesh with the ``.exr`` beside it; of
@@ -506,6 +511,7 @@ def solve_radiosity(
         outputs=SolutionFiles(
             files=listed(save),
             photometric=photometric,
+            scale=scale,
             size=size,
             sensor=sensor,
             gather=gather,

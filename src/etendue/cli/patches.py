@@ -266,6 +266,7 @@ def radiosity(
             "a .png is of illuminance in false colours.",
         ),
     ] = False,
+    colour_range: opt.ColourRange = None,
     bundles: Bundles = None,
     points: Annotated[
         int | None,
@@ -436,6 +437,7 @@ def radiosity(
         outputs=SolutionFiles(
             files=files,
             photometric=photometric,
+            scale=colour_range or (None, None),
             command=command_line() if any(path.suffix == ".html" for path in files) else "",
             size=size,
             sensor=sensor,
