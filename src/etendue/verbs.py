@@ -279,6 +279,9 @@ def compute_form_factors(
     reciprocal: bool = False,
     threshold: float = 0.0,
     groups: bool = False,
+    up: str | None = None,
+    north: float = 0.0,
+    sky_patches: int | None = None,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -311,8 +314,12 @@ def compute_form_factors(
         changed; a warning is given if it is more than errors explain.
     groups: also the factors between groups of patches, ``groups`` of the result; they are what files contain. A group
         has the name of a shape, or, in a mesh without names, a label. See :func:`etendue.radiosity.between_groups`.
+    up: the axis that is up, ``y`` or ``z``: what leaves the scene downward is then ``factors.ground``, apart from the
+        ``sky``; without, ``sky`` is both.
+    sky_patches: m for the shares of 144 m^2 + 1 patches of the sky, ``factors.sky_patches``; up is z unless given, and
+        ``north`` as for :func:`daylight`. See :func:`etendue.radiosity.sky_parts`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
-        of form factors, averaged over patches. Without limits, 1024 bundles.
+        of form factors, averaged over patches. Without limits, 1024 bundles, or 16 to 32 for each patch of the sky.
     save: files for the form factors, in the formats of :func:`etendue.radiosity.save_form_factors`.
     checkpoint: with it, lines are stored in a folder beside it instead of memory.
 
@@ -335,6 +342,9 @@ def compute_form_factors(
         reciprocal=reciprocal,
         threshold=threshold,
         groups=groups,
+        up=up,
+        north=north,
+        sky_patches=sky_patches,
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),

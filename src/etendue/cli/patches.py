@@ -175,6 +175,19 @@ def form_factors(
             help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
         ),
     ] = False,
+    up: Annotated[
+        str | None,
+        typer.Option("--up", help="Axis that is up, y or z: the ground is then apart from the sky.", metavar="AXIS"),
+    ] = None,
+    north: opt.North = 0.0,
+    sky_patches: Annotated[
+        int | None,
+        typer.Option(
+            "--sky-patches",
+            help="Also the shares of the sky's patches: of Tregenza's 145 with 1, of 144 M^2 + 1 with M.",
+            metavar="M",
+        ),
+    ] = None,
     objects: ObjectsBy = None,
     walls: Annotated[
         str | None,
@@ -223,6 +236,9 @@ def form_factors(
         reciprocal=reciprocal or repair,
         threshold=threshold,
         groups=groups,
+        up=up,
+        north=north,
+        sky_patches=sky_patches,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,
