@@ -124,7 +124,7 @@ def heat_balance(
         change = np.abs(found - temperature)[coupled].max(initial=0.0)
         temperature = found
         if change <= _SETTLED * np.abs(temperature[coupled]).max(initial=1.0):
-            to_sky = (patches.areas[:, None] * transport.sky[:, None] * (radiosity - sky)).sum(axis=0)
+            to_sky = (patches.areas[:, None] * transport.outside[:, None] * (radiosity - sky)).sum(axis=0)
             heat = patches.areas[:, None] * (radiosity - irradiance)
             return HeatBalance(patches, temperature, heat, radiosity, irradiance, to_sky, step)
         reflectance, emission = _tangent(coupled, temperature, e, q, h, ambient, reflectance, emission)
