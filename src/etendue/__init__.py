@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         render as render,
         resume as resume,
         solve_radiosity as solve_radiosity,
+        sunlight as sunlight,
         trace_particles as trace_particles,
         view as view,
     )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from etendue.engine import Checkpoint, Session, Task
-    from etendue.lighting import Meters, Quantity, Weather
+    from etendue.lighting import Meters, Quantity, Suns, Weather
     from etendue.particles import Particles
     from etendue.products import (
         Callback,
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     )
     from etendue.products.particles import MadeMap, ParticleResult
     from etendue.products.patches import FactorRun, SolutionRun
+    from etendue.radiosity import Sunlight
     from etendue.viewer import Viewer
 
 P = ParamSpec("P")
@@ -348,6 +349,46 @@ def compute_form_factors(
     )
     without_hierarchy(run, settings.pop("hierarchy", None))
     return _run_on_patches(run, compute_form_factors, settings, variant, callback, cluster, workers, wait)
+
+
+def sunlight(
+    mesh: Any,
+    suns: Suns | Weather | PathLike | ArrayLike,
+    *,
+    up: str = "z",
+    north: float = 0.0,
+    lines: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variant: str | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+) -> Sunlight:
+    """The sunlit share of each patch and its direct irradiance, for a list of suns.
+
+    mesh, max_area, parameters: as for :func:`compute_form_factors`.
+    suns: :class:`etendue.lighting.Suns` (directions with their irradiances, of times at a place, or of hours of
+        weather), :class:`etendue.lighting.Weather` or an EPW file (all hours with direct light), a table of suns
+        (:meth:`etendue.lighting.Suns.read`), or vectors towards them (k, 3), x east, y north, z up, of 1 W/m^2.
+    up, north, lines: see :func:`etendue.radiosity.sunlight`.
+    save: ``.csv``, ``.npz`` or ``.nc``, see :func:`etendue.radiosity.save_sunlight`.
+
+    The errors are those of :func:`compute_form_factors`, and :class:`etendue.lighting.LightingError` for suns that are
+    not valid.
+    """
+    from etendue.lighting import Suns, Weather, read_epw
+    from etendue.products.patches import make_sunlight
+    from etendue.radiosity import PatchSource
+
+    if isinstance(suns, (str, os.PathLike)):
+        path = Path(suns)
+        suns = read_epw(path) if path.suffix.lower() == ".epw" else Suns.read(path)
+    if isinstance(suns, Weather):
+        suns = Suns.of_weather(suns)
+    asked = suns if isinstance(suns, Suns) else Suns(np.asarray(suns), np.array(1.0))
+    source = PatchSource(source=mesh, max_area=max_area, parameters=parameters)
+    use_variant(variant)
+    return make_sunlight(source, asked, save, logger.info, up=up, north=north, lines=lines, seed=seed)
 
 
 @_verb

@@ -141,6 +141,7 @@ def folder(tmp_path_factory, variant):
         shutil.copy(path / "converged.exr", path / copy)
     (path / "desks.csv").write_text("0 0 0.5 0 0 1\n")
     written(path, year()).rename(path / "bern.epw")
+    (path / "suns.csv").write_text("x,y,z\n0,0,1\n")
     (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):

@@ -52,7 +52,7 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
             if not device.is_alone:
                 raise OptionError("there are no passes for workers: leave out --cluster and --workers")
             with Steps(error_console(), "reading") as steps:
-                result = task.make(steps.update, lambda patches: _describe_patches(task.source.name, patches))
+                result = task.make(steps.update, lambda patches: describe_patches(task.source.name, patches))
         else:
             outcome = _cast(task, device, saved)
             if outcome.result is None:
@@ -96,7 +96,7 @@ def _cast(task: Task, device: Device, saved: Checkpoint | None) -> Any:
         if job.method.name == "boxes":
             _describe_boxes(job)
         else:
-            _describe_patches(job.problem.source, job.problem.patches)
+            describe_patches(job.problem.source, job.problem.patches)
         return job
 
     label = "form factors" if isinstance(product, FormFactorProduct) else "radiosity"
@@ -127,7 +127,8 @@ def _note(text: str) -> None:
     note(error_console(), text)
 
 
-def _describe_patches(name: str, patches: Any) -> None:
+def describe_patches(name: str, patches: Any) -> None:
+    """Say how many patches there are, and whether their mesh is closed."""
     from etendue.radiosity import diagnose
 
     faces = len(patches.faces)

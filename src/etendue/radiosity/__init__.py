@@ -90,6 +90,7 @@ from .files.results import (
     save_solution as save_solution,
 )
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
+from .files.sunfiles import check_sun_file as check_sun_file, save_sunlight as save_sunlight
 from .gradients import Gradient as Gradient, gradient as gradient, gradient_error as gradient_error
 from .hierarchical_factors.allocation import (
     allocated as allocated,
@@ -176,3 +177,4 @@ from .sources import (
     PatchSource as PatchSource,
     part_ingredients as part_ingredients,
 )
+from .sunlight import Sunlight as Sunlight, sunlight as sunlight

@@ -11,6 +11,7 @@ from .solution_files import (
     files_and_lightmap as files_and_lightmap,
 )
 from .solutions import SolutionProduct as SolutionProduct
+from .sunshine import make_sunlight as make_sunlight
 from .tasks import (
     AtOnce as AtOnce,
     FactorRun as FactorRun,
