@@ -145,6 +145,7 @@ from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
 from .pointviews import PointViews as PointViews, point_views as point_views
 from .problem import PatchProblem as PatchProblem
+from .solvers.daylight import daylight_of_patches as daylight_of_patches
 from .solvers.lamps import lamp_light as lamp_light
 from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles
 from .solvers.multipath_passes import MultipathPasses as MultipathPasses, MultipathSettings as MultipathSettings
