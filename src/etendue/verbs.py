@@ -168,12 +168,15 @@ def measure(
 @_verb
 def daylight(
     scene: Any,
-    meters: Meters | PathLike | ArrayLike,
+    meters: Meters | PathLike | ArrayLike | None = None,
     directions: ArrayLike = (0.0, 0.0, 1.0),
     weather: Weather | PathLike | None = None,
     *,
+    surfaces: bool = False,
+    max_area: float | None = None,
     seconds: float | None = None,
     spp: int | None = None,
+    bundles: int | None = None,
     error: float | None = None,
     seed: int = 0,
     parameters: Mapping[str, Any] | None = None,
@@ -185,14 +188,18 @@ def daylight(
     wait: bool = True,
     **settings: Any,
 ) -> DaylightResult:
-    """Daylight coefficients of meters: what each patch of the sky contributes, through openings and by reflections. The
-    scene needs no lamp, and its own have no effect.
+    """Daylight coefficients of meters, or of surfaces: what each patch of the sky contributes, through openings and by
+    reflections. The scene needs no lamp, and its own have no effect.
 
     meters, directions: as for :func:`measure`.
+    surfaces: in place of meters, all patches of ``scene``, which is then as for :func:`compute_form_factors`, with
+        ``max_area``; by lines and one radiosity solution, with ``bundles`` of lines (16 to 32 for each patch of the sky
+        without limits). The result's ``meters`` are the centres of the patches. All materials are diffuse.
     weather: :class:`etendue.lighting.Weather` or an EPW file; the result then has the illuminance of all hours of the
         year, daylight autonomy, useful daylight illuminance and the level of EN 17037.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter (65,536
-        without limits), and the relative standard error of the irradiance by a uniform sky.
+        without limits), and the relative standard error of the irradiance by a uniform sky; of surfaces, the standard
+        error of a row of form factors.
     save: ``.mtx``, coefficients for Radiance's ``dctimestep``; ``.npz``, all arrays; ``.csv``, with weather, the
         metrics of each meter.
     settings: ``patches``, ``up``, ``north`` and ``max_depth``, see :class:`etendue.methods.SkySettings`.
@@ -202,9 +209,23 @@ def daylight(
     from etendue.engine import Task
     from etendue.lighting import Weather, read_epw
     from etendue.methods import SkyTracing
-    from etendue.products import Daylight, budget_of
+    from etendue.products import Daylight, budget_of, listed
     from etendue.scene import SceneSource
 
+    if (meters is None) != surfaces:
+        raise OptionError("daylight is that of meters or of surfaces: give points, or surfaces=True")
+    if meters is None:
+        from etendue.products.patches import daylight_run
+
+        limits = {"seconds": seconds, "spp": spp, "error": error, "bundles": bundles}
+        asked: dict[str, Any] = {"source": scene, "max_area": max_area, "parameters": parameters, "seed": seed}
+        run = daylight_run(settings, limits=limits, weather=weather, outputs=listed(save), **asked)
+        task = run.task()
+        use_variant(variant)
+        return cast("DaylightResult", _run(task, callback, cluster, workers, wait))
+    for name, value in (("bundles", bundles), ("max_area", max_area)):
+        if value is not None:
+            raise OptionError(f"{name} is for surfaces: give surfaces=True, or leave it out")
     placed = _meters(meters, directions, "irradiance")
     year = weather if weather is None or isinstance(weather, Weather) else read_epw(weather)
     product = Daylight.of(placed, year, save)

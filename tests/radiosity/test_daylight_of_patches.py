@@ -6,9 +6,15 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.patches import square
+from support.weather import written, year
 
 import etendue
+from etendue.cli.main import main
+from etendue.core import OptionError
+from etendue.engine import Job
 from etendue.lighting import Meters, SkyPatches, cie_sky
+from etendue.products import run_job
+from etendue.products.patches import DaylightRun
 from etendue.radiosity import ABuffer, Patches, RadiosityError, Segments, box, daylight_of_patches, joined
 
 SKY = SkyPatches(1)
@@ -96,3 +102,49 @@ def test_what_has_no_daylight_is_refused():
         daylight_of_patches(directed(plane, 16, 1))
     with pytest.raises(RadiosityError, match="one channel or three"):
         daylight_of_patches(directed(plane, 16, 2), patches=plane.with_properties(reflectance=np.full((1, 2), 0.5)))
+
+
+def test_a_run_its_files_and_its_resumption(tmp_path):
+    tower = Patches(*box((0, 0, 0), (1, 1, 3), 2), reflectance=0.4)
+    files, weather = [tmp_path / name for name in ("c.mtx", "c.npz", "c.csv")], written(tmp_path, year())
+    found = etendue.daylight(tower, surfaces=True, bundles=128, weather=weather, save=files)
+    upward, values = found.coefficients.meters.directions[:, 2], found.coefficients.values
+    assert values.shape == (24, 146, 3) and "EN 17037" in found.summary()
+    # Nothing is around it: the roof sees the sky, the walls half of it, and nothing reflects.
+    assert values[:, 1:].sum(axis=1) == pytest.approx(np.pi * (1 + np.stack([upward] * 3, axis=1)) / 2, abs=0.1)
+    assert "NROWS=24" in files[0].read_text()[:200]
+    with np.load(files[1]) as arrays:
+        assert arrays["illuminance"].shape == (24, 8760)
+    assert len(files[2].read_text().splitlines()) == 25
+    checkpoint = tmp_path / "daylight.checkpoint"
+    run = DaylightRun(source=tower, limits={"bundles": 64}, checkpoint=checkpoint)
+    run_job(lambda: Job.open(run.task()), None, None)
+    resumed = etendue.resume(checkpoint, scene=tower, bundles=128, save=tmp_path / "again.mtx")
+    assert np.array_equal(resumed.coefficients.values, values)
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    meshio = pytest.importorskip("meshio")
+    monkeypatch.chdir(tmp_path)
+    vertices, faces = joined(square((0, 0, 0), (4, 0, 0), (0, 4, 0)), square((0, 4, 0), (4, 0, 0), (0, 0, 4)))
+    meshio.write("yard.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
+    words = "daylight yard.ply --surfaces --reflectance 0.5 --max-area 4 --bundles 512 --north 10 -o c.npz"
+    assert main(words.split()) == 0
+    out, err = capsys.readouterr()
+    assert out == "c.npz\n" and "8 meters, 146 patches" in err
+    with np.load("c.npz") as arrays:
+        assert arrays["coefficients"].shape == (8, 146, 3)
+    for more, message in (
+        ("--surfaces --points p.csv", "in place of"),
+        ("--surfaces --max-depth 3", "paths from meters"),
+        ("--points p.csv --max-area 2", "for --surfaces"),
+        ("--surfaces --spp 4", "counts bundles"),
+        ("--surfaces -o c.csv", "give the weather"),
+        ("", "--points FILE"),
+    ):
+        assert main(["daylight", "yard.ply", *more.split()]) == 2, more
+        assert message in capsys.readouterr().err, more
+    with pytest.raises(OptionError, match="meters or of surfaces"):
+        etendue.daylight("yard.ply")
+    with pytest.raises(OptionError, match="surfaces=True"):
+        etendue.daylight("yard.ply", [[0, 0, 1]], bundles=4)

@@ -13,7 +13,7 @@ import typer
 
 from etendue.core import OptionError, format_count, format_seconds, logger
 from etendue.engine import Checkpoint, Job, Task
-from etendue.products import FormFactorResult, RadiosityResult, start_job
+from etendue.products import DaylightResult, FormFactorResult, RadiosityResult, start_job
 from etendue.products.patches import (
     ERROR_SCALE,
     AtOnce,
@@ -62,7 +62,9 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
                 result = product.finish(job, run, steps.update)
             if status and (kept := product.checkpoint or product.if_stopped) is not None:
                 _note(f"to go on: etendue resume {kept}")
-    if isinstance(result, FormFactorResult):
+    if isinstance(result, DaylightResult):
+        _note(result.summary())
+    elif isinstance(result, FormFactorResult):
         _describe_factors(product, result)
     else:
         _describe_solution(product, task, result)
@@ -99,7 +101,7 @@ def _cast(task: Task, device: Device, saved: Checkpoint | None) -> Any:
             describe_patches(job.problem.source, job.problem.patches)
         return job
 
-    label = "form factors" if isinstance(product, FormFactorProduct) else "radiosity"
+    label = "radiosity" if isinstance(product, SolutionProduct) else product.kind
     with device.opened() as cluster:
         return follow(lambda: start_job(open_job, None, cluster, finish=False), error_console(), label)
 

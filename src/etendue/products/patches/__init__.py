@@ -1,6 +1,7 @@
 """Form factors and solutions: what is made from lines through patches, and its files."""
 
 from .base import PatchProduct as PatchProduct
+from .daylight import DaylightRun as DaylightRun, PatchDaylight as PatchDaylight, daylight_run as daylight_run
 from .factors import FormFactorProduct as FormFactorProduct
 from .gathering import picture as picture
 from .illuminance import illuminance_text as illuminance_text
