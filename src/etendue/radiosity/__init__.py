@@ -27,6 +27,7 @@ from etendue.surfaces import (
     find_objects as find_objects,
     gltf_mesh as gltf_mesh,
     joined as joined,
+    orientation as orientation,
     read_patches as read_patches,
     save_lightmap as save_lightmap,
     save_textured_mesh as save_textured_mesh,
@@ -74,11 +75,13 @@ from .factors.groups import between_groups as between_groups, group_index as gro
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
 from .factors.skyparts import sky_parts as sky_parts
 from .files.colours import coloured_mesh as coloured_mesh
+from .files.conditions import read_conditions as read_conditions
 from .files.factorfiles import (
     FACTOR_FORMATS as FACTOR_FORMATS,
     FactorFormat as FactorFormat,
     check_factors as check_factors,
     factor_format as factor_format,
+    factors_of_patches as factors_of_patches,
     no_factors as no_factors,
     read_form_factors as read_form_factors,
     save_form_factors as save_form_factors,
@@ -92,6 +95,7 @@ from .files.results import (
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
 from .files.sunfiles import check_sun_file as check_sun_file, save_sunlight as save_sunlight
 from .gradients import Gradient as Gradient, gradient as gradient, gradient_error as gradient_error
+from .heat import Conditions as Conditions, HeatBalance as HeatBalance, heat_balance as heat_balance
 from .hierarchical_factors.allocation import (
     allocated as allocated,
     area_shares as area_shares,

@@ -7,7 +7,7 @@ from etendue.core import on_use
 if TYPE_CHECKING:
     from . import graph as graph, meshes as meshes
     from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
-    from .camera import MOVABLE as MOVABLE, Camera as Camera
+    from .camera import MOVABLE as MOVABLE, Camera as Camera, described_sensor as described_sensor
     from .capability import check as check, is_dark as is_dark
     from .changes.edits import ParameterChanges as ParameterChanges, name_elements as name_elements
     from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as SceneParameter
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     )
     from .meshes import box as box, joined as joined
     from .meters import METER_OFFSET as METER_OFFSET, least_offset as least_offset, with_meters as with_meters
-    from .models.reading import emits as emits
+    from .models.reading import emits as emits, is_model as is_model
     from .packet import (
         DISPERSES as DISPERSES,
         Packet as Packet,

@@ -46,6 +46,8 @@ from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors
 _MOST_TEXT, _ENTRY = 4e9, 10.0
 #: A row sum that is less than this from 1 is accepted by programs that need closed rows.
 _CLOSED = 1e-3
+#: Relative difference of areas, and deviation of row sums from 1, of factors for given patches: of numbers in text.
+_SAME_AREA, _WHOLE_ROW = 1e-4, 1e-3
 
 
 @dataclass(frozen=True)
@@ -249,6 +251,27 @@ def _write_arrays(
         },
         metadata,
     )
+
+
+def factors_of_patches(path: str | os.PathLike[str], patches: Patches) -> FormFactors:
+    """:func:`read_form_factors` of ``patches``. Raises :class:`RadiosityError` if there are others, warns of rows that
+    do not sum to 1."""
+    factors = read_form_factors(path)
+    if len(factors) != len(patches):
+        raise RadiosityError(
+            f"'{path}' has {len(factors)} rows, and there are {len(patches)} patches: read the mesh as for the "
+            "form factors (max_area, ids, two_sided)"
+        )
+    other = np.flatnonzero(np.abs(factors.areas - patches.areas) > _SAME_AREA * patches.areas)
+    if len(other):
+        raise RadiosityError(
+            f"'{path}' is of other patches: row {other[0]} has the area {factors.areas[other[0]]:.6g}, and patch "
+            f"{other[0]} has {patches.areas[other[0]]:.6g}"
+        )
+    off = np.abs(factors.row_sums() + factors.dark - 1)[patches.areas > 0].max(initial=0.0)
+    if off > _WHOLE_ROW:
+        logger.warning("row sums of '%s' are off by up to %.2g, and the power of the solution with them", path, off)
+    return factors
 
 
 def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
