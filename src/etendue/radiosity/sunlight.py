@@ -150,14 +150,16 @@ class _Rays:
         """Sunlit shares of ``patches`` (m,), and their standard errors, as of independent rays."""
         import mitsuba as mi
 
-        shares = []
+        shares, towards = [], mi.Vector3d(*(dr.opaque(mi.Float64, float(x)) for x in way))
         for start in range(0, len(patches), BATCH // _RAYS):
             some = patches[start : start + BATCH // _RAYS]
             u = self._points.lanes(mi.UInt32, len(some) * _RAYS, 0)
             places = self._source.of(mi.UInt32(np.repeat(some, _RAYS).astype(np.uint32)), u[0], u[1])
-            cosine = dr.maximum(dr.dot(places.normal, mi.Vector3d(*map(float, way))), 0.0)
-            free = ~self._scene.hit(places.origin, mi.Vector3f(*map(float, way)), cosine > 0.0).is_valid()
-            lit, all_ = (np.array(dr.block_sum(x, _RAYS)) for x in (dr.select(free, cosine, 0.0), cosine))
-            shares.append(np.divide(lit, all_, out=np.zeros(len(some)), where=all_ > 0))
+            cosine = dr.maximum(dr.dot(places.normal, towards), 0.0)
+            free = ~self._scene.hit(places.origin, mi.Vector3f(towards), cosine > 0.0).is_valid()
+            sums = [dr.block_sum(x, _RAYS) for x in (dr.select(free, cosine, 0.0), cosine)]
+            dr.eval(sums)
+            lit, facing = map(np.array, sums)
+            shares.append(np.divide(lit, facing, out=np.zeros(len(some)), where=facing > 0))
         share = np.clip(np.concatenate(shares), 0.0, 1.0)
         return share, np.sqrt(share * (1 - share) / _RAYS)
