@@ -41,6 +41,7 @@ from .measuring import DaylightCommand, MeasureCommand, daylight, measure
 from .particle_maps import app as particles
 from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
 from .pictures import PictureCommand, compare, demo, render, run
+from .sunshine import sunlight
 
 app = typer.Typer(
     name="etendue",
@@ -385,6 +386,7 @@ def points(
 
 app.command(cls=FactorCommand)(form_factors)
 app.command(cls=SolutionCommand)(radiosity)
+app.command()(sunlight)
 app.command()(heat)
 app.add_typer(particles, name="particles")
 

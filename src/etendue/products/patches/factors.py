@@ -123,9 +123,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def default_budget(self, task: Task, problem: PatchProblem) -> Budget:
         """See :class:`PatchProduct`; with patches of the sky, some bundles for each."""
         usual = super().default_budget(task, problem)
-        if self.sky_patches is None or usual.samples is None:
-            return usual
-        return Budget(samples=max(usual.samples, 1 << (_BUNDLES_PER_PATCH * self._sky.count - 1).bit_length()))
+        return usual if self.sky_patches is None else with_sky_patches(usual, self._sky)
 
     def _corrected(self, factors: FormFactors) -> tuple[FormFactors, Correction | None]:
         if not self._asked:
@@ -193,3 +191,9 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             with writing.attempt(f"write '{path}'"):
                 save_form_factors(path, groups or factors, emissivity=emissivity, metadata=known)
         return groups
+
+
+def with_sky_patches(usual: Budget, sky: SkyPatches) -> Budget:
+    """A budget of bundles with some for each patch of the sky."""
+    least = 1 << (_BUNDLES_PER_PATCH * sky.count - 1).bit_length()
+    return Budget(samples=max(usual.samples or 0, least))
