@@ -33,8 +33,8 @@ _COLUMNS = {
 }
 _TEMPERATURES = ("dry_bulb", "dew_point")
 _HEADING = 8  #: lines
-#: Altitude in degrees above which the sun comes within half an hour of the middle of an hour that it lights.
-_LOWEST = -7.6
+#: Sine of the altitude above which the sun comes within half an hour of the middle of an hour that it lights.
+_LOWEST_SINE = float(np.sin(np.deg2rad(-7.6)))
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Weather:
             return None
         time = self.times[hour : hour + 1]
         x, y, z = sun_direction(self.latitude, self.longitude, time)[0].tolist()
-        if z < np.sin(np.deg2rad(_LOWEST)):
+        if z < _LOWEST_SINE:
             raise LightingError(
                 f"{when} has {direct + diffuse:g} W/m^2 with the sun {-np.degrees(np.arcsin(z)):.0f} degrees below the "
                 "horizon; correct longitude and time zone of the EPW file"
@@ -87,6 +87,13 @@ class Weather:
         dew_point = self.dew_point[hour]
         moist = {} if np.isnan(dew_point) else {"dew_point": float(dew_point)}
         return perez_sky((x, y, max(z, 0.0)), direct, diffuse, day=float(day_of_year(time)[0]), ground=ground, **moist)
+
+    def check(self) -> None:
+        """Raise the error of the first hour of which :meth:`sky` raises one: before a run that needs all skies."""
+        light = self.direct_normal + self.diffuse_horizontal
+        wrong = np.isnan(light) | ((light > 0.0) & (self.sun()[:, 2] < _LOWEST_SINE))
+        if wrong.any():
+            self.sky(int(np.argmax(wrong)))
 
     def _local(self, hour: int) -> str:
         shift = np.timedelta64(round(self.time_zone * 60.0), "m")
