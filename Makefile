@@ -1,6 +1,6 @@
 # `make demo` renders and compares, `make test` checks; both first make the environment if it is not there.
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all bench lint clean
+.PHONY: help env demo test test-all bench docs lint clean
 
 BIN := .venv/bin
 # Empty is unset: modules are compiled once, not in each of the hundred processes that tests start.
@@ -38,6 +38,10 @@ test-all: lint ## lint, and every test this machine can run; PART=1/4 runs the f
 
 bench: .venv/stamp-dev ## cost and quality of every method against Mitsuba's path (BENCH=--record keeps the tables)
 	$(BIN)/python -m benchmarks $(BENCH)
+
+docs: .venv/stamp-dev ## the manual as a site, in build/docs; fails at links, citations and docstrings that are wrong
+	$(BIN)/sphinx-build -q -W --keep-going -j 2 -b html docs build/docs
+	@echo build/docs/index.html
 
 clean: ## remove the environment and every generated file
 	rm -rf .venv build dist demo-output .pytest_cache .mypy_cache .ruff_cache

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Callback,
         DaylightResult,
         FormFactorResult,
+        HeatResult,
         PathLike,
         RadiosityResult,
         Readings,
@@ -278,6 +279,9 @@ def compute_form_factors(
     reciprocal: bool = False,
     threshold: float = 0.0,
     groups: bool = False,
+    up: str | None = None,
+    north: float = 0.0,
+    sky_patches: int | None = None,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -310,8 +314,12 @@ def compute_form_factors(
         changed; a warning is given if it is more than errors explain.
     groups: also the factors between groups of patches, ``groups`` of the result; they are what files contain. A group
         has the name of a shape, or, in a mesh without names, a label. See :func:`etendue.radiosity.between_groups`.
+    up: the axis that is up, ``y`` or ``z``: what leaves the scene downward is then ``factors.ground``, apart from the
+        ``sky``; without, ``sky`` is both.
+    sky_patches: m for the shares of 144 m^2 + 1 patches of the sky, ``factors.sky_patches``; up is z unless given, and
+        ``north`` as for :func:`daylight`. See :func:`etendue.radiosity.sky_parts`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
-        of form factors, averaged over patches. Without limits, 1024 bundles.
+        of form factors, averaged over patches. Without limits, 1024 bundles, or 16 to 32 for each patch of the sky.
     save: files for the form factors, in the formats of :func:`etendue.radiosity.save_form_factors`.
     checkpoint: with it, lines are stored in a folder beside it instead of memory.
 
@@ -334,6 +342,9 @@ def compute_form_factors(
         reciprocal=reciprocal,
         threshold=threshold,
         groups=groups,
+        up=up,
+        north=north,
+        sky_patches=sky_patches,
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),
@@ -341,6 +352,69 @@ def compute_form_factors(
     )
     without_hierarchy(run, settings.pop("hierarchy", None))
     return _run_on_patches(run, compute_form_factors, settings, variant, callback, cluster, workers, wait)
+
+
+def solve_heat(
+    mesh: Any,
+    conditions: PathLike,
+    loads: PathLike | None = None,
+    *,
+    surroundings: float = 0.0,
+    factors: PathLike | None = None,
+    solver: str | None = None,
+    seconds: float | None = None,
+    bundles: int | None = None,
+    error: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    variant: str | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    **settings: Any,
+) -> HeatResult:
+    """Temperatures and heat of the groups of a mesh that exchange heat by radiation.
+
+    mesh: as for :func:`compute_form_factors`; groups are its named shapes, or its labels.
+    conditions: a table with a row for each group: its temperature, or its heat flux, power or exchange with a body of
+        known temperature, and its emissivity. loads: a table with a row for each case, such as an hour. See
+        :func:`etendue.radiosity.read_conditions`.
+    surroundings: temperature in kelvin of the black sky around an open mesh.
+    factors: a file of the form factors of all patches; without it they are computed, by ``bundles``, ``seconds`` or
+        ``error`` as by :func:`compute_form_factors`, and repaired: heat is neither lost nor gained.
+    save: ``.csv``, ``.npz``, or ``.vtu`` of one case.
+
+    Raises :class:`etendue.radiosity.RadiosityError` for conditions that cannot be, see
+    :func:`etendue.radiosity.heat_balance`; the other errors are those of :func:`compute_form_factors`.
+    """
+    import numpy as np
+
+    from etendue.products import HeatResult, heat_files
+    from etendue.radiosity import (
+        PatchSource,
+        factors_of_patches,
+        group_index,
+        heat_balance,
+        no_factors,
+        read_conditions,
+    )
+
+    source = PatchSource(source=mesh, max_area=max_area)
+    patches = source.open().patches
+    names, group = group_index(no_factors(patches))
+    known, cases = read_conditions(
+        Path(conditions), names.tolist(), group, patches, None if loads is None else Path(loads)
+    )
+    known.arrays(len(patches))
+    files = heat_files(save, len(cases))
+    if factors is None:
+        asked: Any = {"seconds": seconds, "bundles": bundles, "error": error, "variant": variant, "seed": seed}
+        made = compute_form_factors(patches, row_sums=True, reciprocal=True, **asked, **settings).factors
+    else:
+        made = factors_of_patches(factors, patches)
+    balance = heat_balance(patches, made, known, surroundings=np.float64(surroundings), solver=solver)  # type: ignore[arg-type]
+    result = HeatResult(balance, made, names.tolist(), group, cases)
+    for path in files:
+        result.save(path)
+    return result
 
 
 @_verb

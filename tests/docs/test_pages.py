@@ -26,7 +26,11 @@ from etendue.scene import colours_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(p for p in (ROOT / "benchmarks").glob("*.md"))],
+    [
+        *ROOT.glob("*.md"),
+        *(page for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "project"),  # made from other folders
+        *(ROOT / "benchmarks").glob("*.md"),
+    ],
     key=str,
 )
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
@@ -141,7 +145,13 @@ def folder(tmp_path_factory, variant):
         shutil.copy(path / "converged.exr", path / copy)
     (path / "desks.csv").write_text("0 0 0.5 0 0 1\n")
     written(path, year()).rename(path / "bern.epw")
-    (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for number, name in enumerate(("hall", "desks", "trees")):
+        (path / f"{name}.obj").write_text(f"v 0 0 {number}\nv 1 0 {number}\nv 0 1 {number}\nf 1 2 3\n")
+    (path / "room.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\ng floor\nf 1 2 3\nv 0 0 1\nv 1 0 1\nv 0 1 1\ng roof\nf 6 5 4\n"
+    )
+    (path / "conditions.csv").write_text("group,temperature,flux\nfloor,310,\n*,,adiabatic\n")
+    (path / "hours.csv").write_text("hour,floor:temperature\n9:00,300\n10:00,310\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
         meshio.write(path / f"{name}.vtu", meshio.Mesh(*triangle, cell_data=arrays))

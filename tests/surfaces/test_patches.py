@@ -135,6 +135,13 @@ def test_what_a_diagnosis_finds():
     vertices, faces = box((0, 0, 0), (1, 1, 1), 2)
     open_box = diagnose(Patches(vertices, faces[1:]))
     assert len(open_box.open_edges) == 4 and not open_box.is_closed and "4 open edges" in str(open_box)
+    # The lowest wall of one box is divided: its corners are on edges of the other walls.
+    (coarse, walls), (fine, halves) = box((0, 0, 0), (1, 1, 1), 1), box((0, 0, 0), (1, 1, 1), 3)
+    low = Patches(fine, halves).centres[:, 2] < 1e-9
+    corners, mixed = joined((coarse, walls[Patches(coarse, walls).centres[:, 2] > 0.1]), (fine, halves[low]))
+    assert diagnose(Patches(corners, mixed)).is_closed
+    one_less = diagnose(Patches(corners, mixed[:-1]))
+    assert len(one_less.open_edges) == 4  # two of its neighbours, and the edges of two walls as a whole
     turned = faces.copy()
     turned[5] = turned[5][::-1]
     assert len(diagnose(Patches(vertices, turned)).flipped_edges) == 4

@@ -34,6 +34,7 @@ from .console import (
 )
 from .developing import develop
 from .film_picture import film_picture
+from .heating import heat
 from .inspection.viewing import view
 from .interrupts import leaving
 from .measuring import DaylightCommand, MeasureCommand, daylight, measure
@@ -384,6 +385,7 @@ def points(
 
 app.command(cls=FactorCommand)(form_factors)
 app.command(cls=SolutionCommand)(radiosity)
+app.command()(heat)
 app.add_typer(particles, name="particles")
 
 
@@ -409,18 +411,23 @@ def check(
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Test the materials, lights, sensors and ray casting of a scene, and report what is implausible.
+    """Test the materials, lights, sensors and ray casting of a scene, or the faces of a mesh, and report what is wrong.
 
     Exit status 1 if something fails.
     """
     from etendue.scene import locate
+    from etendue.surfaces import is_mesh_file
 
     from .inspection.check import show_check
     from .running import choose_device
 
     parameters = opt.parse_pairs(param, "-P")
-    found = locate(scene, lambda text: note(error_console(), text))
-    choose_device(variant, threads, scene=found)
+    found: Any = Path(scene)
+    if is_mesh_file(found):
+        choose_device(variant, threads)
+    else:
+        found = locate(scene, lambda text: note(error_console(), text))
+        choose_device(variant, threads, scene=found)
     return show_check(found, quick=quick, sensor=sensor, seed=seed, parameters=parameters, as_json=json)
 
 

@@ -68,6 +68,20 @@ Ids = Annotated[
 TwoSided = Annotated[
     bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
 ]
+More = Annotated[
+    list[Path] | None,
+    typer.Option("--more", help="Further mesh, whose faces are patches, too; repeatable.", metavar="FILE"),
+]
+Obstacles = Annotated[
+    list[Path] | None,
+    typer.Option("--obstacles", help="Mesh whose faces only occlude; repeatable.", metavar="FILE"),
+]
+Orient = Annotated[
+    str | None,
+    typer.Option(
+        "--orient", help="Turn the faces of a mesh: outward (of solids) or inward (into rooms).", metavar="SIDE"
+    ),
+]
 LineSeed = Annotated[
     int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
 ]
@@ -100,6 +114,12 @@ def _solution_methods() -> dict[str, Any]:
 
 FactorCommand = with_settings(_factor_methods, "lines")
 SolutionCommand = with_settings(_solution_methods, "lines")
+
+
+def further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
+    """Arguments of ``read_patches``: further files, where a checkpoint finds them again."""
+    named = {"more": more, "obstacles": obstacles}
+    return {name: [str(path.absolute()) for path in files] if files else None for name, files in named.items()}
 
 
 def form_factors(
@@ -155,6 +175,19 @@ def form_factors(
             help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
         ),
     ] = False,
+    up: Annotated[
+        str | None,
+        typer.Option("--up", help="Axis that is up, y or z: the ground is then apart from the sky.", metavar="AXIS"),
+    ] = None,
+    north: opt.North = 0.0,
+    sky_patches: Annotated[
+        int | None,
+        typer.Option(
+            "--sky-patches",
+            help="Also the shares of the sky's patches: of Tregenza's 145 with 1, of 144 M^2 + 1 with M.",
+            metavar="M",
+        ),
+    ] = None,
     objects: ObjectsBy = None,
     walls: Annotated[
         str | None,
@@ -167,6 +200,9 @@ def form_factors(
     ids: Ids = None,
     max_area: MaxArea = None,
     two_sided: TwoSided = False,
+    more: More = None,
+    obstacles: Obstacles = None,
+    orient: Orient = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
@@ -200,12 +236,16 @@ def form_factors(
         reciprocal=reciprocal or repair,
         threshold=threshold,
         groups=groups,
+        up=up,
+        north=north,
+        sky_patches=sky_patches,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
+        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided, "orient": orient}
+        | further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -312,6 +352,9 @@ def radiosity(
     ] = None,
     ids: Ids = None,
     two_sided: TwoSided = False,
+    more: More = None,
+    obstacles: Obstacles = None,
+    orient: Orient = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
     divide: Annotated[
@@ -431,7 +474,9 @@ def radiosity(
             "ids": ids,
             "sky": sky_of(sky),
             "two_sided": two_sided,
-        },
+            "orient": orient,
+        }
+        | further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from .bsdfs import check_bsdf as check_bsdf
     from .emitters import check_emitter as check_emitter
     from .functions import check_function as check_function
+    from .meshes import check_mesh as check_mesh
     from .rays import check_ray_casting as check_ray_casting
     from .report import Finding as Finding, Report as Report, Verdict as Verdict
     from .scenes import check as check

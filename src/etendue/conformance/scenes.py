@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError, UnsupportedError, use_variant
-from etendue.scene import Problem, Source, graph, load
+from etendue.scene import Problem, Source, graph, is_model, load
+from etendue.surfaces import is_mesh_file
 
 from .bsdfs import check_bsdf
 from .emitters import check_emitter
+from .meshes import check_mesh
 from .rays import check_ray_casting
 from .report import Finding, Report
 from .sensors import check_sensor
@@ -34,7 +38,8 @@ def check(
     variants: Sequence[str] = (),
     seed: int = 0,
 ) -> Report:
-    """Test materials, textures, emitters, sensors and ray casting of a scene.
+    """Test materials, textures, emitters, sensors and ray casting of a scene, and the faces of a model; of other mesh
+    files the faces alone (:func:`check_mesh`).
 
     ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` uses fewer samples and may miss small
     faults. ``variants``: other Mitsuba variants for the test of ray casting, such as ``scalar_rgb``. The same
@@ -44,6 +49,9 @@ def check(
     """
     use_variant()
     began = time.perf_counter()
+    path = Path(scene) if isinstance(scene, (str, os.PathLike)) else None
+    if path is not None and is_mesh_file(path):
+        return Report(str(path), tuple(check_mesh(path, seed)), time.perf_counter() - began)
     problem, rows = _load(scene, sensor, parameters)
     loaded = problem.scene
     broken = any(row.test == "broken" for row in rows)  # its geometry may be invalid
@@ -64,6 +72,8 @@ def check(
         for item in sensors:
             rows += check_sensor(item, loaded, seed=seed)
         rows += check_ray_casting(loaded, variants=variants, quick=quick, seed=seed)
+    if path is not None and is_model(path):
+        rows += check_mesh(path, seed)
     return Report(problem.source, tuple(rows), time.perf_counter() - began)
 
 

@@ -69,7 +69,7 @@ class RecursiveStratified(Integrator):
     borders: ``"equal"`` divides into equal parts, ``"vegas"`` into parts that share the metric equally.
     exploration: share of a region's samples that explores it.
     reuse: whether the estimate includes the exploration, by inverse variances; this helps with few samples, but is
-    biased.
+        biased.
     exponent: a in N_i ~ Var_i^(1/(1+a)), Var_i the metric times the squared volume; 1 suits one level, 2 recursion.
     minimum: regions with fewer samples are not divided; by default 4 n d.
     depth: largest number of levels.

@@ -1,5 +1,6 @@
 """Lighting design and daylight as numbers: photometric files, skies, the sun, weather, glare, units. NumPy only."""
 
+from .compass import compass as compass
 from .daylight import AnnualDaylight as AnnualDaylight, DaylightCoefficients as DaylightCoefficients
 from .discomfort import (
     Glare as Glare,

@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     )
     from .meshes import box as box, joined as joined
     from .meters import METER_OFFSET as METER_OFFSET, least_offset as least_offset, with_meters as with_meters
-    from .models.reading import emits as emits
+    from .models.reading import emits as emits, is_model as is_model
     from .packet import (
         DISPERSES as DISPERSES,
         Packet as Packet,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from .diagnosis import MeshDiagnosis as MeshDiagnosis, diagnose as diagnose
     from .errors import PatchError as PatchError, SurfaceError as SurfaceError
-    from .faces import face_vectors as face_vectors, triangles as triangles
+    from .faces import face_vectors as face_vectors, named_faces as named_faces, triangles as triangles
     from .heat import STEFAN_BOLTZMANN as STEFAN_BOLTZMANN, band_shares as band_shares, thermal as thermal
     from .lightmaps.atlases import (
         LIGHTMAP_MESHES as LIGHTMAP_MESHES,
@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     )
     from .maps.widths import rule_bandwidths as rule_bandwidths
     from .objects import Objects as Objects, find_objects as find_objects
+    from .orienting import Orientation as Orientation, orientation as orientation
     from .patches import Patches as Patches
     from .places import PatchSurfaces as PatchSurfaces, Place as Place, SurfaceValues as SurfaceValues
     from .rays.raycasting import STEP as STEP, Hits as Hits, RayScene as RayScene
@@ -73,7 +74,7 @@ if TYPE_CHECKING:
         even_lanes as even_lanes,
         pairs_of as pairs_of,
     )
-    from .readers.meshfiles import read_patches as read_patches
+    from .readers.meshfiles import is_mesh_file as is_mesh_file, read_patches as read_patches
     from .readers.sceneparts import has_instances as has_instances, scene_parts as scene_parts
     from .readers.scenepatches import lamps_apart as lamps_apart, scene_patches as scene_patches
     from .readers.tessellation import shape_triangles as shape_triangles

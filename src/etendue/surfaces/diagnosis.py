@@ -14,6 +14,9 @@ from .patches import Patches
 
 Index = NDArray[np.int64]
 
+#: Two ends of edges are one place if they are closer than this, in radii of the patches.
+_SHORT = 1e-6
+
 
 @short_repr
 @dataclass(frozen=True)
@@ -28,7 +31,8 @@ class MeshDiagnosis:
     #: Pairs (k, 2) of other faces that lie on each other, in part or as a whole, and face the same way, such as a door
     #: on a wall. It is arbitrary which of the two a line hits.
     overlaps: Index
-    #: Edges of one face only, (e, 2) vertex indices; two-sided sheets, which have a border, are left out.
+    #: Edges of one face only, (e, 2) vertex indices. Two-sided sheets, which have a border, are left out, and so are
+    #: edges along which other faces end, divided differently (T-junctions).
     open_edges: Index
     #: Edges of more than two faces.
     crowded_edges: Index
@@ -74,8 +78,37 @@ def diagnose(patches: Patches) -> MeshDiagnosis:
     return MeshDiagnosis(
         duplicates=duplicates,
         overlaps=clashing[~np.isin(clashing, duplicates).any(axis=1)],
-        open_edges=where[first[count == 1]],
+        open_edges=_unmatched(patches, where[first[count == 1]]),
         crowded_edges=where[first[count > 2]],
         flipped_edges=where[first[(count == 2) & (forward != 1)]],
         one_sided=len(sided),
     )
+
+
+def _unmatched(patches: Patches, edges: Index) -> Index:
+    """The edges (e, 2) with a part along which no others run in the opposite direction."""
+    if len(edges) < 2:
+        return edges
+    centre, radius = patches.sphere
+    start, end = ((patches.vertices[edges[:, k]] - centre) / radius for k in range(2))
+    direction = end - start
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    # The same for both directions along a line: the first component that is not zero is positive.
+    leading = np.argmax(np.abs(np.round(direction, 6)) > 0, axis=1)
+    sign = np.where(np.take_along_axis(direction, leading[:, None], axis=1)[:, 0] < 0, -1.0, 1.0)
+    direction *= sign[:, None]
+    low, high = ((v * direction).sum(axis=1) for v in (start, end))
+    foot = start - low[:, None] * direction
+    # Round numbers are not at the border of two steps.
+    rounded = np.round(np.concatenate([direction, foot], axis=1) / _SHORT + 0.37)
+    line = np.unique(rounded, axis=0, return_inverse=True)[1].reshape(-1)
+    open_ = np.zeros(len(edges), bool)
+    order = np.argsort(line, kind="stable")
+    for members in np.split(order, np.cumsum(np.bincount(line))[:-1]):
+        first, last = np.minimum(low, high)[members], np.maximum(low, high)[members]
+        ends = np.unique(np.concatenate([first, last]))
+        middle = (ends[1:] + ends[:-1])[np.diff(ends) > _SHORT] / 2
+        runs = (first[:, None] < middle) & (middle < last[:, None])
+        balance = (sign[members, None] * runs).sum(axis=0)
+        open_[members] = (runs & (balance != 0)).any(axis=1)
+    return edges[open_]

@@ -19,6 +19,8 @@ _NO_AREA = 1e-12
 #: A quadrilateral is flat if its corners are this close to their plane, in units of its size: the error of single
 #: precision.
 _FLAT = 1e-6
+#: Most faces that a message names.
+_NAMED = 20
 
 
 def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> tuple[Index, Index]:
@@ -72,6 +74,11 @@ def repeated(vertices: Array, faces: Index) -> Index:
     turn = (np.argmin(corners, axis=1)[:, None] + np.arange(4)) % count
     _, first = np.unique(np.take_along_axis(corners, turn, axis=1), axis=0, return_index=True)
     return np.setdiff1d(np.arange(len(faces)), first)
+
+
+def named_faces(numbers: Index) -> str:
+    """The first of the numbers of some faces, for messages."""
+    return ", ".join(map(str, numbers[:_NAMED])) + (", ..." if len(numbers) > _NAMED else "")
 
 
 def _four_corners(faces: ArrayLike | Sequence[Sequence[int]]) -> Index:

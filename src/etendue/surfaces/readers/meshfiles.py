@@ -1,5 +1,5 @@
 """Patches from mesh files, read by meshio (PLY, STL, VTK, VTU, VTP, Gmsh and more), trimesh (glTF and more), or here
-(OBJ, OFF, View3D)."""
+(OBJ, OFF, View3D, EnergyPlus, CityJSON, Honeybee, Radiance)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import contextlib
 import io
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, library, logger, suggest
 
 from ..errors import PatchError
-from ..faces import face_vectors, flat_faces, repeated
+from ..faces import face_vectors, flat_faces, named_faces, repeated
 from ..heat import thermal
+from ..orienting import orientation, turned
 from ..patches import Patches, warn_of_rounded
+from .buildingfiles import read_building
+from .joining import joined_files
 from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
+from .radfiles import read_rad
 from .surfacefiles import MeshFile
 from .view3dfiles import read_vs3
 
@@ -29,14 +33,19 @@ Index = NDArray[np.int64]
 
 #: Supported cell types.
 _FACES = ("triangle", "quad")
-#: Number of broken faces that a warning names.
-_NAMED = 20
 #: Suffixes that trimesh reads and meshio does not.
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 #: Suffixes of text that is read here, and of files that may be VTK's PolyData.
 _OWN, _VTK = (".off", ".obj"), (".vtk", ".vtp")
 #: Readers of files of named surfaces.
-_SURFACES = {".vs3": read_vs3}
+_SURFACES = {
+    ".vs3": read_vs3,
+    ".rad": read_rad,
+    ".epjson": read_building,
+    ".hbjson": read_building,
+    ".cityjson": read_building,
+    ".json": read_building,
+}
 
 
 def read_patches(
@@ -49,16 +58,25 @@ def read_patches(
     two_sided: ArrayLike = False,
     sky: ArrayLike = 0.0,
     objects: str | None = None,
+    more: Sequence[str | Path] = (),
+    obstacles: Sequence[str | Path] = (),
+    orient: str | None = None,
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
 
     reflectance, emission, ids: also the name of a cell-data array of the file, with a value for each face; a patch of
         several faces gets their area-weighted mean. For the array ``"emissivity"`` the reflectance is one minus its
-        values. Without them, those that the format defines (View3D's emissivities), else 0.
+        values. Without them, those that the format defines (View3D's emissivities, Radiance's colours), else 0.
+        For ids, also ``"groups"``: the first array of the file whose numbers have names, such as ``g``, ``o`` or
+        ``usemtl`` of OBJ, ``solid`` of STL, ``gmsh:physical``. Names become those of the ``shapes`` of the patches.
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
     objects: an array of the file with the number of an object for each face, negative for walls; the objects become
         the ``shapes`` of the patches, for :func:`find_objects`.
+    more, obstacles: further files: of patches, and of faces that only occlude. Of arrays, those are read that all files
+        of patches have; ``"file"`` numbers these files, and names them.
+    orient: ``"outward"`` turns the faces whose fronts are not outside of solids, ``"inward"`` those whose fronts are
+        not inside of rooms (:func:`orientation`); a warning names them.
 
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
     without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
@@ -67,25 +85,20 @@ def read_patches(
     installed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise PatchError(f"there is no mesh file {path}")
-    if path.stat().st_size == 0:
-        raise PatchError(f"{path} is empty")
     if temperature is not None and emission is not None and (isinstance(emission, str) or np.any(emission)):
         raise PatchError("patches emit by their temperature or have an emission; give one of the two")
-    suffix = path.suffix.lower()
-    read = _SURFACES.get(suffix) or (_by_trimesh if suffix in _TRIMESH else _by_own if suffix in _OWN else _by_meshio)
-    mesh = read(path)
+    mesh = _read(path)
+    if more or obstacles:
+        files = [(Path(name).stem, _read(Path(name))) for name in more]
+        mesh = joined_files([(path.stem, mesh), *files], [_read(Path(name)) for name in obstacles])
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
-    if len(faces) == 0:
-        raise PatchError(f"{path} has no triangles or quadrilaterals")
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
     count = int(rows[-1]) + 1
     if isinstance(ids, str) and ids == "groups" and ids not in cells:
-        if not mesh.names:
+        ids = next((array for array in mesh.names if array != "surfaces"), None)
+        if ids is None:
             raise PatchError(f"{path} has no named groups of faces; name an array of it, or leave out ids")
-        ids = next(iter(mesh.names))
     given = mesh.ids if ids is None else _cell_array(path, cells, ids, whole=True)
     labels = np.arange(count) if given is None else np.asarray(given)
     seen = np.delete(np.arange(count), mesh.obstacles)
@@ -114,7 +127,7 @@ def read_patches(
     kelvin = of_patches(temperature, "temperature")
     patches = Patches(
         vertices,
-        faces,
+        faces if orient is None else _oriented(path, vertices, faces, rows, left_out, orient),
         reflectance=of_patches(reflectance, "reflectance", 0.0),
         emission=0.0 if temperature is not None else of_patches(emission, "emission", 0.0),
         ids=labels[rows],
@@ -131,11 +144,46 @@ def read_patches(
                 f"{path}, array '{objects}': {_torn(labels[seen], numbers)}; a patch belongs to one object"
             )
     else:
-        named = [ids] if isinstance(ids, str) else mesh.names
-        for array in named:
+        for array in [ids] if isinstance(ids, str) else mesh.names:
             if array in mesh.names and _set_shapes(patches, labels[seen], cells[array][seen], mesh.names[array]):
                 break
     return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+
+
+def _oriented(path: Path, vertices: Array, faces: Index, rows: Index, left_out: Index, orient: str) -> Index:
+    """The faces with their fronts outward or inward."""
+    if orient not in ("outward", "inward"):
+        raise PatchError(f"faces are turned outward or inward, not '{orient}'")
+    found = orientation(Patches(vertices, faces, numbers=rows, left_out=left_out), inward=orient == "inward")
+    for which, what in ((found.wrong, "turned"), (found.undecided, "left as they are, both sides being alike")):
+        if len(which):
+            logger.warning(
+                "%s: of %d faces %d are %s: face %s (counted from 0)",
+                *(path, rows[-1] + 1, len(which)),
+                what,
+                named_faces(which),
+            )
+    return np.where(np.isin(rows, found.wrong)[:, None], turned(faces), faces)
+
+
+def is_mesh_file(path: Path) -> bool:
+    """Whether a file has the suffix of a mesh that is no model of a scene, such as ``.vtu`` or ``.vs3``."""
+    suffix = path.suffix.lower()
+    return suffix in _SURFACES or suffix in _VTK or suffix in (".vtu", ".msh", ".dae", ".3mf")
+
+
+def _read(path: Path) -> MeshFile:
+    """The mesh of a file. Raises :class:`PatchError`."""
+    if not path.is_file():
+        raise PatchError(f"there is no mesh file {path}")
+    if path.stat().st_size == 0:
+        raise PatchError(f"{path} is empty")
+    suffix = path.suffix.lower()
+    read = _SURFACES.get(suffix) or (_by_trimesh if suffix in _TRIMESH else _by_own if suffix in _OWN else _by_meshio)
+    mesh = read(path)
+    if len(mesh.faces) == 0:
+        raise PatchError(f"{path} has no triangles or quadrilaterals")
+    return mesh
 
 
 def _set_shapes(patches: Patches, labels: Index, numbers: NDArray[Any], names: Mapping[int, str] | None = None) -> bool:
@@ -210,11 +258,10 @@ def broken_faces(
     of = np.arange(len(faces)) if rows is None else rows
     gone = np.setdiff1d(of, np.delete(of, left_out))
     if len(gone):
-        named = ", ".join(map(str, gone[:_NAMED])) + (", ..." if len(gone) > _NAMED else "")
         doubled = len(np.intersect1d(gone, of[twice]))
         logger.warning(
             "%s: of %d faces %d have no area and %d are duplicates; they are left out%s: face %s (counted from 0)",
-            *(where, of[-1] + 1, len(gone) - doubled, doubled, then, named),
+            *(where, of[-1] + 1, len(gone) - doubled, doubled, then, named_faces(gone)),
         )
     return left_out
 

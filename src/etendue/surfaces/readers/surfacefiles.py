@@ -44,8 +44,8 @@ class Surface:
     """A polygon (k, 3) of a file, counterclockwise seen from its front.
 
     where: its place in the file, for messages. holes: polygons that are cut out; those of other surfaces are in
-    ``inside``. one_with: another surface that is the same patch. obstacle: whether it only occludes. values: of the
-    arrays of the mesh.
+    ``inside``. one_with: another surface that is the same patch. obstacle: whether it only occludes. groups: the name
+    of the group that it belongs to, by kind. values: of the arrays of the mesh.
     """
 
     outline: Array
@@ -55,7 +55,7 @@ class Surface:
     inside: list[Surface] = field(default_factory=list)
     one_with: Surface | None = None
     obstacle: bool = False
-    group: str = ""
+    groups: dict[str, str] = field(default_factory=dict)
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -88,10 +88,10 @@ def mesh_of(path: Path, surfaces: list[Surface], own: Mapping[str, Array] | None
     names: dict[str, dict[int, str]] = {"surfaces": {row: surface.name for row, surface in enumerate(surfaces)}}
     ids = np.array([number[id(s.one_with or s)] for s in surfaces], dtype=np.int64)
     arrays["surfaces"] = ids
-    if any(surface.group for surface in surfaces):
-        known = list(dict.fromkeys(surface.group for surface in surfaces))
-        arrays["groups"] = np.array([known.index(surface.group) for surface in surfaces])
-        names["groups"] = dict(enumerate(known))
+    for kind in surfaces[0].groups if surfaces else ():
+        known: dict[str, int] = {}
+        arrays[kind] = np.array([known.setdefault(surface.groups[kind], len(known)) for surface in surfaces])
+        names[kind] = {k: name for name, k in known.items()}
     return MeshFile(
         points=corners,
         faces=faces,
@@ -123,3 +123,14 @@ def _is_simple(points: Array, polygon: list[int]) -> bool:
     except PatchError:
         return False
     return True
+
+
+def corners_of(value: Any, what: str) -> Array:
+    """A polygon (k, 3) from rows of three numbers. Raises :class:`PatchError`."""
+    try:
+        corners = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        corners = np.zeros(0)
+    if corners.ndim != 2 or corners.shape[1] != 3:
+        raise PatchError(f"{what} is no list of points of three numbers")
+    return corners

@@ -1,0 +1,250 @@
+"""Surfaces of EnergyPlus, CityJSON, Honeybee and Radiance, against closed forms."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from etendue.radiosity import PatchError, PatchSource, diagnose, exact_form_factors, read_patches
+
+#: A cube from 0 to 1, its faces counterclockwise from outside; and a window in the wall x = 1.
+CUBE = {
+    "Floor": [(0, 1, 0), (1, 1, 0), (1, 0, 0), (0, 0, 0)],
+    "Roof": [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
+    "West": [(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)],
+    "East": [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
+    "South": [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)],
+    "North": [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0)],
+}
+WINDOW = [(1, 0.25, 0.25), (1, 0.75, 0.25), (1, 0.75, 0.75), (1, 0.25, 0.75)]
+PLATES, BESIDE = 0.19982490, 0.20004378
+
+
+def energyplus(step=1, shift=0.0, **rules):
+    def rows(corners):
+        return [{f"vertex_{a}_coordinate": v for a, v in zip("xyz", p, strict=True)} for p in corners[::step]]
+
+    direction = "Counterclockwise" if step == 1 else "Clockwise"
+    return {
+        "Zone": {"Z1": {"x_origin": 0, "y_origin": 0, "z_origin": 0}, "Z2": {"x_origin": 1}},
+        "BuildingSurface:Detailed": {
+            f"{zone}:{name}": {"zone_name": zone, "vertices": rows([(x + dx * shift, y, z) for x, y, z in corners])}
+            for dx, zone in enumerate(("Z1", "Z2"))
+            for name, corners in CUBE.items()
+        },
+        "FenestrationSurface:Detailed": {
+            "Z2:Win": {"building_surface_name": "z2:EAST", "number_of_vertices": 4}
+            | {
+                f"vertex_{k + 1}_{a}_coordinate": v
+                for k, p in enumerate(WINDOW[::step])
+                for a, v in zip("xyz", (p[0] + shift, *p[1:]), strict=True)
+            }
+        },
+        "GlobalGeometryRules": {
+            "G": {"vertex_entry_direction": direction, "coordinate_system": "World"} | rules,
+        },
+    }
+
+
+def city(kind="Solid"):
+    points = sorted({p for corners in CUBE.values() for p in corners})
+    rings = [[[points.index(p) for p in corners]] for corners in CUBE.values()]
+    values = [0, 1, 2, 2, 2, 2]
+    vertices = [[1000 * v for v in p] for p in points]
+    vertices += [[1000 * v for v in p] for p in WINDOW[::-1]]
+    rings[3].append([8, 9, 10, 11])
+    meanings = [{"type": "GroundSurface"}, {"type": "RoofSurface"}, {"type": "WallSurface"}]
+    boundaries, values = ([rings], [values]) if kind == "Solid" else (rings, values)
+    geometry = {"type": kind, "boundaries": boundaries, "semantics": {"surfaces": meanings, "values": values}}
+    coarse = {"type": "MultiSurface", "lod": "1", "boundaries": [[[0, 1, 2]]]}
+    return {
+        "type": "CityJSON",
+        "version": "2.0",
+        "transform": {"scale": [0.001] * 3, "translate": [448000.25, 5411000.5, 0]},
+        "CityObjects": {"b1": {"type": "Building", "geometry": [coarse, geometry | {"lod": "2"}]}, "g": {}},
+        "vertices": vertices,
+    }
+
+
+def honeybee():
+    def face(name, corners, **more):
+        return {
+            "identifier": name,
+            "geometry": {"type": "Face3D", "boundary": [[10 * v for v in p] for p in corners]},
+        } | more
+
+    faces = [face(name, corners) for name, corners in CUBE.items()]
+    faces[3]["apertures"] = [face("Window", WINDOW)]
+    return {"type": "Model", "units": "Feet", "rooms": [{"identifier": "R1", "faces": faces}], "orphaned_shades": [{}]}
+
+
+def written(folder, name, content):
+    path = folder / name
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def check_room(patches, window=True):
+    """A cube whose east wall has a window: known factors, rows that sum to one."""
+    names = [name.split(":")[-1] for name in patches.names]
+    factors = exact_form_factors(patches)
+    np.testing.assert_allclose(factors.row_sums(), 1, atol=1e-7)
+    place = {name: k for k, name in enumerate(names)}
+    assert factors.matrix[place["Floor"], place["Roof"]] == pytest.approx(PLATES, abs=1e-7)
+    assert factors.matrix[place["Floor"], place["West"]] == pytest.approx(BESIDE, abs=1e-7)
+    east = factors.matrix[place["Floor"], place["East"]] + factors.matrix[place["Floor"], place["Win"]]
+    assert east == pytest.approx(BESIDE, abs=1e-7)
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_zones_of_energyplus_face_inwards(tmp_path, step):
+    """Two rooms with a common wall: neither sees the other, and each is a cube."""
+    patches = read_patches(written(tmp_path, "a.epJSON", energyplus(step, shift=1.0)))
+    assert len(patches) == 13
+    assert patches.names[0] == "Z1:Floor"
+    assert patches.normals[0, 2] == pytest.approx(1)
+    zone = np.array([name.startswith("Z2") for name in patches.names])
+    other = {"Z1:West", "Z2:East", "Z2:Win"}  # faces in x
+    assert {n for n, (x, _, _) in zip(patches.names, patches.normals, strict=True) if x} >= other
+    first, _ = patches.only(zone)
+    check_room(first)
+    from etendue.radiosity import ABuffer, form_factors
+
+    factors = form_factors(ABuffer(patches).cast(64))
+    assert factors.matrix[~zone][:, zone].nnz == 0
+    np.testing.assert_allclose(factors.row_sums(), 1, atol=1e-12)
+
+
+def test_relative_coordinates_of_energyplus(tmp_path):
+    """Zone 2 begins at x = 1; turned by 90 degrees clockwise, its y points along x."""
+    data = energyplus(coordinate_system="Relative")
+    patches = read_patches(written(tmp_path, "a.epJSON", data))
+    np.testing.assert_allclose(patches.bounds, [[0, 0, 0], [2, 1, 1]])
+    data["Zone"]["Z2"]["direction_of_relative_north"] = 90
+    patches = read_patches(written(tmp_path, "a.epJSON", data))
+    north = list(patches.names).index("Z2:North")
+    np.testing.assert_allclose(patches.centres[north], [2, -0.5, 0.5], atol=1e-12)
+    np.testing.assert_allclose(patches.normals[north], [-1, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["Solid", "MultiSurface"])
+def test_cityjson(tmp_path, kind):
+    path = written(tmp_path, "a.city.json", city(kind))
+    patches = read_patches(path)
+    np.testing.assert_allclose(patches.areas, [1, 1, 1, 0.75, 1, 1], rtol=1e-6)
+    np.testing.assert_allclose(patches.bounds[0], [448000.25, 5411000.5, 0])
+    np.testing.assert_allclose(patches.normals[:2], [[0, 0, -1], [0, 0, 1]], atol=1e-9)
+    assert patches.names[1] == "b1:1"
+    groups = read_patches(path, ids="groups")
+    assert list(groups.names) == ["GroundSurface", "RoofSurface", "WallSurface"]
+    np.testing.assert_allclose(groups.areas, [1, 1, 3.75], rtol=1e-6)
+    assert list(read_patches(path, ids="object").names) == ["b1"]
+
+
+def test_a_building_of_cityjson_is_made_of_its_parts(tmp_path):
+    """The footprint of the building has a coarser level than its part."""
+    data = city("Solid")
+    part, footprint = (
+        data["CityObjects"].pop("b1"),
+        {"type": "MultiSurface", "lod": "0", "boundaries": [[[0, 1, 2, 3]]]},
+    )
+    data["CityObjects"] = {"b": {"type": "Building", "geometry": [footprint], "children": ["p"]}, "p": part}
+    assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == ["p"]
+    data["CityObjects"]["b"].pop("children")
+    assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == ["b", "p"]
+
+
+def test_honeybee(tmp_path, caplog):
+    path = written(tmp_path, "a.hbjson", honeybee())
+    patches = read_patches(path)
+    assert "1 orphaned shades are of no room" in caplog.text
+    assert patches.areas.sum() == pytest.approx(6 * 3.048**2)
+    patches.shape_names = tuple(name.replace("Window", "Win") for name in patches.shape_names)
+    check_room(patches)
+    assert list(read_patches(path, ids="room").names) == ["R1"]
+
+
+RAD = """# plates
+void plastic grey 0 0 5 .5 .4 .3 .1 0
+void glow lamp 0 0 4 2 1 0 0
+void light sun 0 0 3 1 1 1
+sun source s 0 0 4 0 0 1 .5
+void alias paint grey
+paint polygon floor
+0
+0
+12 0 0 0  1 0 0  1 1 0  0 1 0
+lamp polygon ceiling 0 0 12 0 1 1  1 1 1  1 0 1  0 0 1
+"""
+
+
+def test_radiance(tmp_path):
+    path = written(tmp_path, "a.rad", RAD)
+    patches = read_patches(path)
+    assert list(patches.names) == ["floor", "ceiling"]
+    np.testing.assert_allclose(patches.reflectance, [[0.55, 0.46, 0.37], [0, 0, 0]])
+    np.testing.assert_allclose(patches.emission, [[0, 0, 0], [2 * np.pi, np.pi, 0]])
+    assert exact_form_factors(patches).matrix[0, 1] == pytest.approx(PLATES, abs=1e-8)
+    assert list(read_patches(path, ids="groups").names) == ["paint", "lamp"]
+    assert PatchSource(source=path, for_light=True).open().patches.channels == 3
+
+
+def changed(data, *path, to):
+    data = copy.deepcopy(data)
+    place = data
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = to
+    return data
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.epjson", "{", "is no JSON"),
+        ("a.json", {"type": "FeatureCollection"}, "has no surfaces of EnergyPlus, CityJSON or Honeybee"),
+        ("a.epjson", changed(energyplus(), "GlobalGeometryRules", to={}), "has no GlobalGeometryRules"),
+        ("a.epjson", changed(energyplus(), "Window", to={"w": {}}), "'w' is a Window, given by angles"),
+        (
+            "a.epjson",
+            changed(energyplus(), "FenestrationSurface:Detailed", "Z2:Win", "building_surface_name", to="Z9"),
+            "the base 'Z9' of 'Z2:Win'",
+        ),
+        (
+            "a.epjson",
+            changed(energyplus(), "FenestrationSurface:Detailed", "Z2:Win", "vertex_1_x_coordinate", to=3.0),
+            "'Z2:Win' in 'Z2:East' lies in another plane",
+        ),
+        ("a.epjson", changed(energyplus(), "BuildingSurface:Detailed", "Z1:Roof", to={}), "has no 'vertices'"),
+        ("a.city.json", changed(city(), "vertices", to=[[0, 0, 0]]), "surface 0 of 'b1' names vertex"),
+        ("a.city.json", changed(city(), "vertices", to="x"), "'vertices' is no list of points"),
+        (
+            "a.city.json",
+            changed(city(), "CityObjects", "b1", "geometry", 1, "type", to="GeometryInstance"),
+            "'b1' is a GeometryInstance",
+        ),
+        ("a.hbjson", changed(honeybee(), "units", to="Miles"), "not 'Miles'"),
+        ("a.hbjson", changed(honeybee(), "rooms", 0, "faces", 0, to={"identifier": "x"}), "has no 'geometry'"),
+        ("a.rad", RAD + "void sphere s 0 0 4 0 0 0 1\n", "line 12: sphere 's' is no polygon"),
+        ("a.rad", RAD + "void glass g 0 0 3 1 1 1\ng polygon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 13: the material 'g'"),
+        ("a.rad", RAD + "grey polygon p 0 0 8 0 0 0 1 0 0 0 1\n", "line 12: polygon 'p' has 8 numbers"),
+        ("a.rad", RAD + "grey polygon p 0 0 9 0 0 0 1 0 0 0 1\n", "line 12: the primitive is incomplete"),
+        ("a.rad", "!xform a.rad\n", "line 1: commands are not run"),
+    ],
+)
+def test_broken_files(tmp_path, name, content, message):
+    with pytest.raises(PatchError) as error:
+        read_patches(written(tmp_path, name, content))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_room_is_closed_but_for_the_edges_of_its_window(tmp_path):
+    data = energyplus()
+    del data["FenestrationSurface:Detailed"]
+    del data["BuildingSurface:Detailed"]["Z1:Floor"]
+    data["BuildingSurface:Detailed"] = {k: v for k, v in data["BuildingSurface:Detailed"].items() if k.startswith("Z2")}
+    assert diagnose(read_patches(written(tmp_path, "a.epjson", data))).is_closed
