@@ -33,8 +33,8 @@ _COLUMNS = {
 }
 _TEMPERATURES = ("dry_bulb", "dew_point")
 _HEADING = 8  #: lines
-#: Altitude in degrees above which the sun comes within half an hour of the middle of an hour that it lights.
-_LOWEST = -7.6
+#: Sine of the altitude above which the sun comes within half an hour of the middle of an hour that it lights.
+_LOWEST_SINE = float(np.sin(np.deg2rad(-7.6)))
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,9 @@ class Weather:
             raise LightingError(f"{when} has no direct or diffuse irradiance; fill the gap in the EPW file")
         if direct + diffuse == 0.0:
             return None
-        x, y, z = sun_direction(self.latitude, self.longitude, self.times[hour : hour + 1])[0].tolist()
-        if z < np.sin(np.deg2rad(_LOWEST)):
+        time = self.times[hour : hour + 1]
+        x, y, z = sun_direction(self.latitude, self.longitude, time)[0].tolist()
+        if z < _LOWEST_SINE:
             raise LightingError(
                 f"{when} has {direct + diffuse:g} W/m^2 with the sun {-np.degrees(np.arcsin(z)):.0f} degrees below the "
                 "horizon; correct longitude and time zone of the EPW file"
@@ -104,6 +105,13 @@ class Weather:
         moist = {} if np.isnan(dew_point) else {"dew_point": float(dew_point)}
         day = float(day_of_year(self.times[hour : hour + 1])[0])
         return perez_sky(beam.sun, beam.direct, beam.diffuse, day=day, ground=ground, **moist)
+
+    def check(self) -> None:
+        """Raise the error of the first hour of which :meth:`sky` raises one: before a run that needs all skies."""
+        light = self.direct_normal + self.diffuse_horizontal
+        wrong = np.isnan(light) | ((light > 0.0) & (self.sun()[:, 2] < _LOWEST_SINE))
+        if wrong.any():
+            self.sky(int(np.argmax(wrong)))
 
     def local_time(self, hour: int) -> str:
         """The middle of an hour in local standard time, as "2023-06-21 11:30"."""

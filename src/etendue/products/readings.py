@@ -247,14 +247,10 @@ class MeterTable(Product[Readings]):
             for v in (run.measurement.mean("image"), run.measurement.variance_of_mean("image"))
         )
         result = Readings(self.meters, values, np.sqrt(variance), developed(run, job.problem, job.seed).metadata)
-        if run.stopped_by != "running" and len(dark := np.flatnonzero(~values.any(axis=1))):
-            first = np.round(self.meters.points[dark[0]], 4).tolist()
-            logger.warning(
-                "%d of %d meters read 0, as number %d at %s: light does not reach them, or they are inside of solids",
-                *(len(dark), len(values), dark[0], first),
-            )
-        if run.stopped_by != "running" and np.isnan(result.errors).all():
-            logger.warning("the standard errors are not known after a single pass; give more time or more paths")
+        if run.stopped_by != "running":
+            warn_of_dark(values, self.meters, "read 0")
+            if np.isnan(result.errors).all():
+                logger.warning("the standard errors are not known after a single pass; give more time or more paths")
         writing = Writing()
         if self.checkpoint is not None:
             with writing.attempt(f"write '{self.checkpoint}'"):
@@ -271,6 +267,15 @@ class MeterTable(Product[Readings]):
                 write(path)
         writing.finish()
         return result
+
+
+def warn_of_dark(values: Array, meters: Meters, what: str) -> None:
+    """Warn of meters of which all ``values`` (n, k) are 0. ``what`` they do: ``read 0``."""
+    if len(dark := np.flatnonzero(~values.any(axis=1))):
+        logger.warning(
+            "%d of %d meters %s, as number %d at %s: light does not reach them, or they are inside of solids",
+            *(len(dark), len(values), what, dark[0], np.round(meters.points[dark[0]], 4).tolist()),
+        )
 
 
 def check_readings_file(path: PathLike, meters: Meters) -> Path:

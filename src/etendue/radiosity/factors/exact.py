@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, free_memory, in_order, sparse, threads
+from etendue.points import OwenSobol
 from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 
 from ..compiling import compiled
 from ..errors import RadiosityError
+from ..lines.abuffer import ABuffer
 from .formfactors import FormFactors, numbers_of
 
 Index = NDArray[np.int64]
@@ -20,6 +22,8 @@ Index = NDArray[np.int64]
 _BEHIND = 1e-6
 #: Bytes for each pair of patches.
 _BYTES = 64
+#: Bundles of lines that look for backs in sight: their share is then zero, or below one in some hundred thousand.
+_LOOK = 64
 #: Most faces of a leaf of the tree of occluders.
 _LEAF = 4
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
@@ -58,7 +62,7 @@ def exact_form_factors(patches: Patches, tolerance: float = 1e-4) -> FormFactors
             f"faces {upper} and {lower} lie on each other, which exact form factors cannot tell apart: remove one, or "
             "cast lines (ABuffer, or without --exact)"
         )
-    faces, patch, turned = _sides(patches)
+    faces, patch, turned = _sides(patches, _backs_are_seen(patches))
     sides, of = corners[faces], planes[faces]
     sides[turned], of[turned] = sides[turned, ::-1], -of[turned]
     blockers, boxes, nodes = _tree(corners[_may_block(corners, planes)])
@@ -120,11 +124,17 @@ def _tree(faces: Array) -> tuple[Array, Array, Index]:
     return np.ascontiguousarray(faces[chosen]), *shapes
 
 
-def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
+def _backs_are_seen(patches: Patches) -> bool:
+    """Whether any back without a patch is seen, by a cast of few lines."""
+    return bool(ABuffer(patches, OwenSobol(4, seed=0)).cast(_LOOK).dark.any())
+
+
+def _sides(patches: Patches, with_backs: bool) -> tuple[Index, Index, NDArray[np.bool_]]:
     """Face and patch of every side in ascending order of patches, and whether the side is a back. Backs without a patch
-    come last, as patch ``n``; backs that cannot be seen are left out."""
+    come last, as patch ``n``, if ``with_backs``; those that cannot be seen are left out."""
     count, n = len(patches.faces), len(patches)
-    back = np.where((patches.back < 0) & ~_hidden_backs(patches), n, patches.back)
+    dark = (patches.back < 0) & ~_hidden_backs(patches) if with_backs else np.zeros(count, bool)
+    back = np.where(dark, n, patches.back)
     patch = np.concatenate([np.where(patches.front < 0, n, patches.front), back])
     order = np.argsort(patch, kind="stable")
     order = order[patch[order] >= 0]
