@@ -63,7 +63,13 @@ Reflectance = Annotated[
     ),
 ]
 Ids = Annotated[
-    str | None, typer.Option("--ids", help="Of a mesh: array of the file; faces of equal number are one patch.")
+    str | None,
+    typer.Option(
+        "--ids",
+        help="Of a mesh: array of the file; faces of equal number are one patch. groups for its named groups, file for "
+        "one patch of each file.",
+        metavar="NAME",
+    ),
 ]
 TwoSided = Annotated[
     bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
@@ -228,7 +234,8 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided} | _further(more, obstacles),
+        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided, "orient": orient}
+        | _further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),

@@ -112,10 +112,12 @@ def read_off(path: Path) -> _Polygons:
             raise PatchError(
                 f"{path} is cut off: it has {len(lines) - 1} lines for {vertices} vertices and {faces} faces"
             )
-        points = np.array([words[:3] for words in lines[1 : 1 + vertices]], dtype=np.float64).reshape(-1, 3)
+        points = np.array([words[:3] for words in lines[1 : 1 + vertices]], dtype=np.float64).reshape(vertices, 3)
         rows = lines[1 + vertices : 1 + vertices + faces]
-        return points, [[int(word) for word in words[1 : 1 + int(words[0])]] for words in rows], {}, {}
-    except (ValueError, IndexError) as error:
+        return points, [[int(words[1 + k]) for k in range(int(words[0]))] for words in rows], {}, {}
+    except IndexError:
+        raise PatchError(f"{path} cannot be read as a mesh: a line has too few numbers") from None
+    except ValueError as error:
         raise PatchError(f"{path} cannot be read as a mesh: {error}") from error
 
 
@@ -142,7 +144,7 @@ def read_obj(path: Path) -> _Polygons:
                 groups.append(group)
                 for kind in _GROUPS:
                     numbered[kind].append(current[kind])
-        vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
+        vertices = np.array(points, dtype=np.float64).reshape(len(points), 3)
     except ValueError as error:
         raise PatchError(f"{path} cannot be read as a mesh: {error}") from error
     cells = {"obj:group_ids": np.array(groups)}

@@ -65,13 +65,16 @@ def mesh_of(path: Path, surfaces: list[Surface], own: Mapping[str, Array] | None
     points: list[Array] = []
     polygons: list[list[int]] = []
     rows: list[int] = []
+    for surface in surfaces:
+        for ring, what in [(surface.outline, ""), *((hole, "a hole of ") for hole in surface.holes)]:
+            if len(ring) < 3:
+                raise PatchError(
+                    f"{path}, {surface.where}: {what}'{surface.name}' has {len(ring)} corners; it needs three"
+                )
     for row, surface in enumerate(surfaces):
-        pieces = [surface.outline]
-        if surface.holes or surface.inside:
-            pieces = _cut(path, surface)
-        for piece in pieces:
-            if len(piece) < 3:
-                raise PatchError(f"{path}, {surface.where}: '{surface.name}' has {len(piece)} corners; it needs three")
+        pieces = _cut(path, surface) if surface.holes or surface.inside else [surface.outline]
+        # A surface of which nothing is left keeps its row, as a face without area.
+        for piece in pieces or [surface.outline[[0, 0, 0]]]:
             start = sum(map(len, points[-1:])) + (polygons[-1][0] if polygons else 0)
             points.append(piece)
             polygons.append(list(range(start, start + len(piece))))
@@ -131,6 +134,6 @@ def corners_of(value: Any, what: str) -> Array:
         corners = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         corners = np.zeros(0)
-    if corners.ndim != 2 or corners.shape[1] != 3:
+    if corners.ndim != 2 or corners.shape[1] != 3 or not np.isfinite(corners).all():
         raise PatchError(f"{what} is no list of points of three numbers")
     return corners
