@@ -245,7 +245,7 @@ def broken_faces(
             "the mesh"
         )
     try:
-        quads, halves = flat_faces(vertices, faces)
+        quads, halves = flat_faces(vertices, faces, rows)
     except PatchError as error:
         raise PatchError(f"{where}: {error}") from None
     _, flat = face_vectors(vertices, quads)

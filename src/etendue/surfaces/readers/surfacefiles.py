@@ -109,15 +109,10 @@ def mesh_of(path: Path, surfaces: list[Surface], own: Mapping[str, Array] | None
 
 def _cut(path: Path, surface: Surface) -> list[Array]:
     """What is left of a surface without what is inside it."""
-    pieces = [surface.outline]
-    holes = [(hole, f"a hole of '{surface.name}'", surface.where) for hole in surface.holes]
-    holes += [(inner.outline, f"'{inner.name}'", inner.where) for inner in surface.inside]
-    for k, (_, what, where) in enumerate(holes):
-        try:
-            pieces = cut_out(surface.outline, [hole for hole, _, _ in holes[: k + 1]])
-        except PatchError as error:
-            raise PatchError(f"{path}, {where}: {what} in '{surface.name}' {error}") from None
-    return pieces
+    name = f"'{surface.name}'"
+    holes = [(f"{path}, {surface.where}: a hole of {name}", hole) for hole in surface.holes]
+    holes += [(f"{path}, {inner.where}: '{inner.name}' in {name}", inner.outline) for inner in surface.inside]
+    return cut_out(f"{path}, {surface.where}: {name}", surface.outline, holes)
 
 
 def _is_simple(points: Array, polygon: list[int]) -> bool:
