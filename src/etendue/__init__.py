@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from .products import (
         DaylightResult as DaylightResult,
         FormFactorResult as FormFactorResult,
+        HeatResult as HeatResult,
         RadiosityResult as RadiosityResult,
         Readings as Readings,
         Rendering as Rendering,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
         read_particles as read_particles,
         render as render,
         resume as resume,
+        solve_heat as solve_heat,
         solve_radiosity as solve_radiosity,
         trace_particles as trace_particles,
         view as view,

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Callback,
         DaylightResult,
         FormFactorResult,
+        HeatResult,
         PathLike,
         RadiosityResult,
         Readings,
@@ -128,6 +129,8 @@ def measure(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     photometric: bool = False,
+    checkpoint: PathLike | None = None,
+    save_every: float | None = None,
     cluster: Any = None,
     workers: int | None = None,
     wait: bool = True,
@@ -143,8 +146,9 @@ def measure(
         ``spherical`` irradiance.
     method: ``path``, ``guided`` or ``bpt``.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter, and their
-        relative standard error; without limits 4096 paths.
+        relative standard error; without limits 4096 paths. Two passes are made in any time, for the standard errors.
     save: tables, ``.csv``, and of a grid pictures in false colours, ``.png``; with ``photometric`` in lx or cd/m^2.
+    checkpoint: a file for :func:`resume`.
 
     Paths have any number of edges unless ``max_depth`` says otherwise; 2 is the direct light. The other arguments and
     the errors are those of :func:`render`; :class:`etendue.lighting.LightingError` for meters that are not valid,
@@ -155,7 +159,7 @@ def measure(
     from etendue.scene import SceneSource, colours_of
 
     placed = _meters(meters, directions, quantity)
-    product = MeterTable.of(placed, save, photometric)
+    product = MeterTable.of(placed, save, photometric, save_every, checkpoint=checkpoint)
     use_variant(variant, colours_of(scene))
     kind = choose_method(method, scene, parameters)
     kind.Settings.check_arguments(settings, f"method '{kind.name}'", measure)
@@ -275,6 +279,9 @@ def compute_form_factors(
     reciprocal: bool = False,
     threshold: float = 0.0,
     groups: bool = False,
+    up: str | None = None,
+    north: float = 0.0,
+    sky_patches: int | None = None,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -307,8 +314,12 @@ def compute_form_factors(
         changed; a warning is given if it is more than errors explain.
     groups: also the factors between groups of patches, ``groups`` of the result; they are what files contain. A group
         has the name of a shape, or, in a mesh without names, a label. See :func:`etendue.radiosity.between_groups`.
+    up: the axis that is up, ``y`` or ``z``: what leaves the scene downward is then ``factors.ground``, apart from the
+        ``sky``; without, ``sky`` is both.
+    sky_patches: m for the shares of 144 m^2 + 1 patches of the sky, ``factors.sky_patches``; up is z unless given, and
+        ``north`` as for :func:`daylight`. See :func:`etendue.radiosity.sky_parts`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
-        of form factors, averaged over patches. Without limits, 1024 bundles.
+        of form factors, averaged over patches. Without limits, 1024 bundles, or 16 to 32 for each patch of the sky.
     save: files for the form factors, in the formats of :func:`etendue.radiosity.save_form_factors`.
     checkpoint: with it, lines are stored in a folder beside it instead of memory.
 
@@ -331,6 +342,9 @@ def compute_form_factors(
         reciprocal=reciprocal,
         threshold=threshold,
         groups=groups,
+        up=up,
+        north=north,
+        sky_patches=sky_patches,
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),
@@ -338,6 +352,69 @@ def compute_form_factors(
     )
     without_hierarchy(run, settings.pop("hierarchy", None))
     return _run_on_patches(run, compute_form_factors, settings, variant, callback, cluster, workers, wait)
+
+
+def solve_heat(
+    mesh: Any,
+    conditions: PathLike,
+    loads: PathLike | None = None,
+    *,
+    surroundings: float = 0.0,
+    factors: PathLike | None = None,
+    solver: str | None = None,
+    seconds: float | None = None,
+    bundles: int | None = None,
+    error: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    variant: str | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+    **settings: Any,
+) -> HeatResult:
+    """Temperatures and heat of the groups of a mesh that exchange heat by radiation.
+
+    mesh: as for :func:`compute_form_factors`; groups are its named shapes, or its labels.
+    conditions: a table with a row for each group: its temperature, or its heat flux, power or exchange with a body of
+        known temperature, and its emissivity. loads: a table with a row for each case, such as an hour. See
+        :func:`etendue.radiosity.read_conditions`.
+    surroundings: temperature in kelvin of the black sky around an open mesh.
+    factors: a file of the form factors of all patches; without it they are computed, by ``bundles``, ``seconds`` or
+        ``error`` as by :func:`compute_form_factors`, and repaired: heat is neither lost nor gained.
+    save: ``.csv``, ``.npz``, or ``.vtu`` of one case.
+
+    Raises :class:`etendue.radiosity.RadiosityError` for conditions that cannot be, see
+    :func:`etendue.radiosity.heat_balance`; the other errors are those of :func:`compute_form_factors`.
+    """
+    import numpy as np
+
+    from etendue.products import HeatResult, heat_files
+    from etendue.radiosity import (
+        PatchSource,
+        factors_of_patches,
+        group_index,
+        heat_balance,
+        no_factors,
+        read_conditions,
+    )
+
+    source = PatchSource(source=mesh, max_area=max_area)
+    patches = source.open().patches
+    names, group = group_index(no_factors(patches))
+    known, cases = read_conditions(
+        Path(conditions), names.tolist(), group, patches, None if loads is None else Path(loads)
+    )
+    known.arrays(len(patches))
+    files = heat_files(save, len(cases))
+    if factors is None:
+        asked: Any = {"seconds": seconds, "bundles": bundles, "error": error, "variant": variant, "seed": seed}
+        made = compute_form_factors(patches, row_sums=True, reciprocal=True, **asked, **settings).factors
+    else:
+        made = factors_of_patches(factors, patches)
+    balance = heat_balance(patches, made, known, surroundings=np.float64(surroundings), solver=solver)  # type: ignore[arg-type]
+    result = HeatResult(balance, made, names.tolist(), group, cases)
+    for path in files:
+        result.save(path)
+    return result
 
 
 @_verb
@@ -367,6 +444,7 @@ def solve_radiosity(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     photometric: bool = False,
+    scale: tuple[float | None, float | None] = (None, None),
     size: tuple[int, int] | None = None,
     sensor: int = 0,
     gather: int = 0,
@@ -411,6 +489,7 @@ def solve_radiosity(
         pictures, ``.exr`` or ``.png``. The picture is also in the result.
     photometric: also illuminance in lx and luminous exitance in lm/m^2, as arrays of ``.vtu``, ``.npz`` and ``.nc`` and
         on the page; the picture is of irradiance, a ``.png`` of illuminance in false colours.
+    scale: low and high end of these colours in lx; ``None``: chosen.
     size, sensor, gather, spp, smooth: options of pictures, see :func:`etendue.products.patches.picture`.
     error_picture: beside a ``.png``, write its relative standard error in false colours.
     lightmap: an ``.exr`` file, or a ``.glb``, ``.gltf`` or ``.obj`` file for the mesh with the ``.exr`` beside it; of
@@ -442,6 +521,7 @@ def solve_radiosity(
         outputs=SolutionFiles(
             files=listed(save),
             photometric=photometric,
+            scale=scale,
             size=size,
             sensor=sensor,
             gather=gather,

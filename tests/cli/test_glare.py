@@ -48,10 +48,48 @@ def test_the_command_prints_what_python_finds(luminance, capsys):
     assert "of the hemisphere" in capsys.readouterr().err
 
 
+SCENE = """<scene version="3.0.0">
+    {sensors}
+    <shape type="sphere"><boolean name="flip_normals" value="true"/><float name="radius" value="3"/>
+        <emitter type="area"><rgb name="radiance" value="5"/></emitter></shape>
+</scene>"""
+FILM = """<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="12"/>{more}
+    <rfilter type="box"/></film>"""
+
+
+def test_pictures_tell_their_camera(tmp_path, monkeypatch, capsys):
+    """A field of view of the height, a spherical camera; those that are no eye are refused."""
+    monkeypatch.chdir(tmp_path)
+    film_of, cropped = FILM.format(more=""), FILM.format(more='<integer name="crop_width" value="12"/>')
+    sensors = [
+        '<sensor type="perspective"><float name="fov" value="60"/><string name="fov_axis" value="y"/>'
+        f"{film_of}</sensor>",
+        f'<sensor type="spherical">{film_of}</sensor>',
+        f'<sensor type="orthographic">{film_of}</sensor>',
+        f'<sensor type="perspective">{cropped}</sensor>',
+    ]
+    Path("s.xml").write_text(SCENE.format(sensors="".join(sensors)))
+    found = []
+    for k in range(len(sensors)):
+        assert run(f"render s.xml -m path --spp 1 --sensor {k} --no-checkpoint -o {k}.exr") == 0
+    capsys.readouterr()
+    for options in ("", " --view perspective --fov 60 --fov-axis y"):
+        assert run(f"glare 0.exr{options}") == 0
+        found.append(capsys.readouterr().out.splitlines()[0])
+    assert found[0] == found[1] and "1 source above" in found[0]
+    assert run("glare 1.exr") == 0  # E = pi L
+    lux = float(capsys.readouterr().out.split(" lx")[0].split()[-1])
+    assert lux == pytest.approx(np.pi * 5.0 * EFFICACY, rel=1e-3)
+    for picture, message in (("2", "of the sensor 'orthographic', which is no eye"), ("3", "render the whole film")):
+        assert run(f"glare {picture}.exr") == 2
+        assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("a.exr", "--view"),
+        ("a.exr", "'a.exr' does not tell its camera; give --view spherical"),
+        ("a.exr --fov 60", "--fov is that of a --view"),
         ("a.exr --view fisheye", "perspective or spherical"),
         ("a.exr --view perspective", "give fov"),
         ("a.exr --view spherical --threshold bright", "5x for 5 times the mean"),

@@ -123,6 +123,17 @@ def test_form_factors_from_a_file_are_solved(capsys, name):
         assert json.loads(str(arrays["metadata"]))["factors"] == name
 
 
+def test_ground_and_sky_apart(capsys):
+    write_room("tower.ply", inward=False)
+    assert run("form-factors tower.ply -o f.npz --sky-patches 2 --up y --north 30 --bundles 64") == 0
+    found, known = read_form_factors("f.npz"), json.loads(str(np.load("f.npz")["metadata"]))
+    assert (known["up"], known["north"], known["sky_patches"]) == ("y", 30.0, 2)
+    assert found.sky_patches.shape == (24, 577) and found.row_sums() == pytest.approx(np.ones(24), abs=1e-12)
+    assert found.sky.max() == pytest.approx(1) and found.ground.max() == pytest.approx(1)
+    assert run("form-factors tower.ply -m spheres --up z") == 2
+    assert "method lines" in capsys.readouterr().err
+
+
 def test_form_factors_from_a_file_that_do_not_fit(capsys):
     write_room("open.ply", walls=5)
     vertices, faces = box((0, 0, 0), (1, 2, 4), 2, inward=True)

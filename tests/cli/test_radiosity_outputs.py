@@ -13,6 +13,7 @@ from PIL import Image
 
 import etendue
 from etendue.cli.main import main
+from etendue.display import false_colour
 from etendue.film import read_exr, read_image
 
 h5netcdf = pytest.importorskip("h5netcdf")
@@ -27,6 +28,12 @@ SCENE = """<scene version="3.0.0">
     <shape type="cube"><boolean name="flip_normals" value="true"/><bsdf type="diffuse"/></shape>
     <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><translate z="-0.5"/></transform>
         <bsdf type="diffuse"/><emitter type="area"><rgb name="radiance" value="1, 2, 4"/></emitter></shape>
+</scene>
+"""
+#: Walls that emit evenly, so that E = pi L / (1 - rho) = 2 pi everywhere.
+CLOSED = """<scene version="3.0.0"><sensor type="perspective"/>
+    <shape type="cube"><boolean name="flip_normals" value="true"/><bsdf type="diffuse"/>
+        <emitter type="area"><rgb name="radiance" value="1"/></emitter></shape>
 </scene>
 """
 
@@ -112,6 +119,20 @@ def test_photometric_outputs(capsys, variant):
         assert "illuminance" not in saved
 
 
+def test_the_range_of_false_colours(variant):
+    """Pixels are coloured by the given scale, here and when the run is resumed."""
+    closed = "--bundles 64 --max-area 1 --photometric --flat --size 420x410"
+    Path("closed.xml").write_text(CLOSED)
+    command = f"radiosity closed.xml {closed} --variant {variant} -o r.png --checkpoint r.checkpoint"
+    assert main(shlex.split(f"{command} --range 0:5000")) == 0
+    expected = false_colour(np.array([[2.0 * np.pi * 683.0]]), 0.0, 5000.0, logarithmic=False)[0, 0]
+    for bundles in (96, 128):
+        picture = np.asarray(Image.open("r.png").convert("RGB"))
+        assert np.abs(picture[200, 200].astype(int) - expected).max() <= 2
+        Path("r.png").unlink()
+        assert main(shlex.split(f"resume r.checkpoint --bundles {bundles}")) == 0
+
+
 def test_the_picture_of_irradiance_in_a_closed_room(variant):
     """Walls that emit evenly: E = pi L / (1 - rho) everywhere, and so is the picture."""
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
@@ -170,6 +191,9 @@ def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
         ("-o s.vtu -o s.ply --photometric", "photometric numbers are written to .vtu, .npz, .nc, .png, .html, not to"),
         ("-o s.png --photometric --gather 4", "gather is of radiance"),
         ("-o s.vtu --photometric --temperature 300", "temperature makes heat"),
+        ("-o s.png --range 0:500", "write a photometric .png"),
+        ("-o s.vtu --photometric --range 0:500", "write a photometric .png"),
+        ("-o s.png --photometric --range 5:1", "rises from its low to its high end, not from 5 to 1"),
         ("-o s.exr --uv scene", "uv is for lightmaps"),
         ("-o s.vtu --lightmap 64", "take .exr, .glb, .gltf, .obj"),
         ("-o s.exr --lightmap 64 --uv scene", "texture coordinates overlap"),

@@ -46,6 +46,13 @@ KINDS = {
     "picture": Kind(
         "render cornell-box -m path --size 12x8 --seed 3 --samples-per-pass 2", "spp", 2, etendue.Rendering, "exr"
     ),
+    "readings": Kind(
+        "measure cornell-box --grid '-0.5,0.2,0.5 1,0,0 0,0,-1' --cells 3x2 --samples-per-pass 2 --photometric",
+        "spp",
+        4,
+        etendue.Readings,
+        "csv",
+    ),
     "lines": Kind("form-factors hall.vtu --estimator reciprocal --seed 3", "bundles", 8, etendue.FormFactorResult),
     "spheres": Kind(
         "form-factors hall.vtu -m spheres --objects thing --seed 3", "bundles", 16, etendue.FormFactorResult
@@ -90,6 +97,8 @@ def arrays_of(file: str) -> dict[str, np.ndarray]:
     """What a file has, without how it was made."""
     if file.endswith(".exr"):
         return film.read_exr(file).layers
+    if file.endswith(".csv"):
+        return {"table": np.loadtxt(file, delimiter=",", skiprows=1)}
     if file.endswith(".particles"):
         found = ParticleFile(file).read()
         return {name: getattr(found, name) for name in ("position", "power", "shape", "path", "bounce")}

@@ -147,6 +147,11 @@ def folder(tmp_path_factory, variant):
     written(path, year()).rename(path / "bern.epw")
     for number, name in enumerate(("hall", "desks", "trees")):
         (path / f"{name}.obj").write_text(f"v 0 0 {number}\nv 1 0 {number}\nv 0 1 {number}\nf 1 2 3\n")
+    (path / "room.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\ng floor\nf 1 2 3\nv 0 0 1\nv 1 0 1\nv 0 1 1\ng roof\nf 6 5 4\n"
+    )
+    (path / "conditions.csv").write_text("group,temperature,flux\nfloor,310,\n*,,adiabatic\n")
+    (path / "hours.csv").write_text("hour,floor:temperature\n9:00,300\n10:00,310\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
         meshio.write(path / f"{name}.vtu", meshio.Mesh(*triangle, cell_data=arrays))

@@ -75,6 +75,13 @@ def test_the_last_pass_is_predicted(timed, durations, seconds, passes):
     assert result.measurement.counters["seconds"] == pytest.approx(result.elapsed)
 
 
+def test_passes_that_a_product_needs_are_made_in_any_time(timed):
+    method, clock = timed([6.0, 5.0])
+    result = Runner(method, seed=0, budget=Budget(seconds=2.0), least=2, clock=clock).run()
+    assert (result.passes, result.stopped_by, result.elapsed) == (2, "seconds", 11.0)
+    assert Runner(method, seed=0, budget=Budget(seconds=2.0, samples=1), least=2, clock=clock).run().passes == 1
+
+
 def test_what_only_the_first_pass_does_is_not_predicted(timed):
     method, clock = timed([8.0, 1.0])
     method.setup_seconds = 7.0

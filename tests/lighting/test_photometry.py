@@ -142,12 +142,41 @@ def test_headers_of_ies(options, factor, lamps, tmp_path):
     assert web.power == 40.0
 
 
-@pytest.mark.parametrize("tilt", ["TILT=INCLUDE\n1\n3\n0 45 90\n1 .9 .8\n", "TILT=lamp.tlt\n"])
-def test_tilt_factors_are_not_applied(tilt, tmp_path, caplog):
-    with caplog.at_level(logging.WARNING, "etendue"):
-        web = read(tmp_path, ies(isotropic, tilt=tilt))
+def turned(degrees, about):
+    """The vertical in the coordinates of a luminaire that is turned about one of its own axes."""
+    angle, axis = np.deg2rad(degrees), {"x": [0, -1], "y": [1, 0]}[about]
+    return [-axis[0] * np.sin(angle), -axis[1] * np.sin(angle), np.cos(angle)]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "degrees", "about", "factor"),
+    [
+        (1, 0, "x", 1.0),
+        (1, 30, "x", 0.9),  # between the angles
+        (1, 45, "y", 0.85),
+        (1, 180, "x", 1.0),  # base up, base down
+        (1, 120, "y", 0.8),
+        (2, 30, "y", 1.0),  # the lamp lies along y: it turns about its axis
+        (2, 30, "x", 0.9),
+        (3, 30, "x", 1.0),
+        (3, 30, "y", 0.9),
+    ],
+)
+def test_tilt_factors(geometry, degrees, about, factor, tmp_path):
+    """They are kept apart from the intensities, which are those of a luminaire that is aimed at the nadir."""
+    text = ies(isotropic, tilt=f"TILT=INCLUDE\n{geometry}\n3\n0 60 90\n1 .8 .8\n")
+    web = read(tmp_path, text)
     assert web.flux == pytest.approx(4 * np.pi * 80.0, rel=1e-9)
-    assert "are not applied" in caplog.text
+    assert web.tilt.factor(turned(degrees, about)) == pytest.approx(factor, abs=1e-6)
+
+
+def test_tilt_beyond_the_horizontal(tmp_path):
+    """With angles to 180 degrees, base up and base down differ; a tilt without factors is refused."""
+    web = read(tmp_path, ies(isotropic, tilt="TILT=INCLUDE\n1\n2\n0 180\n1 .8\n"))
+    assert web.tilt.factor([0.0, 0.0, -1.0]) == pytest.approx(0.8)
+    web = read(tmp_path, ies(isotropic, tilt="TILT=INCLUDE\n1\n2\n0 45\n1 .8\n"))
+    with pytest.raises(LightingError, match="tilted by 60 degrees, and its file has factors from 0 to 45 degrees"):
+        web.tilt.factor(turned(60, "x"))
 
 
 def test_opening(tmp_path):
@@ -197,13 +226,27 @@ def test_forms_of_files(kind, how, tmp_path):
 
 
 def test_lamps_of_eulumdat(tmp_path, caplog):
-    """Intensities are per 1000 lm of all sets; with a negative number of lamps, photometry is absolute."""
+    """Intensities are per 1000 lm of a set, the first unless another is chosen, or of all; with a negative number of
+    lamps, photometry is absolute."""
+    text = eulumdat(isotropic, lamps=[(2, 3000.0, 30.0), (1, 1000.0, 12.0)])  # 80 cd with all of them
+    path = tmp_path / "lamp.ldt"
+    path.write_bytes(text.encode())
     with caplog.at_level(logging.WARNING, "etendue"):
-        web = read(tmp_path, eulumdat(isotropic, lamps=[(2, 3000.0, 30.0), (1, 1000.0, 12.0)]))
-    assert "2 sets of lamps" in caplog.text
-    assert web.flux == pytest.approx(4 * np.pi * 80.0, rel=1e-6)
-    assert (web.lamp_flux, web.power) == (4000.0, 42.0)
+        assert read_photometry(path).lamp_flux == 3000.0
+    assert "2 sets of lamps (1 of 3000 lm, 2 of 1000 lm), of which the first is used" in caplog.text
+    caplog.clear()
+    for lamp_set, flux, power in ((0, 4000.0, 42.0), (1, 3000.0, 30.0), (2, 1000.0, 12.0)):
+        web = read_photometry(path, lamp_set)
+        assert web.flux == pytest.approx(4 * np.pi * 80.0 * flux / 4000.0, rel=1e-6)
+        assert (web.lamp_flux, web.power) == (flux, power)
+    assert not caplog.text
     assert read(tmp_path, eulumdat(isotropic, lamps=[(-1, 1000.0, 12.0)])).lamp_flux is None
+    for lamp_set, message in ((3, "no set of lamps 3 among 2"), (-1, "not -1"), (1.5, "not 1.5"), (True, "not True")):
+        with pytest.raises(LightingError, match=message):
+            read_photometry(path, lamp_set)
+    path.write_text(ies(isotropic))
+    with pytest.raises(LightingError, match="no sets of lamps"):
+        read_photometry(path, 1)
 
 
 def test_light_output_ratio_is_compared(tmp_path, caplog):
@@ -243,6 +286,11 @@ BAD_IES = {
     "type A": (lambda: ies(isotropic, shape="3 2 0 0 0"), "type A"),
     "no type": (lambda: ies(isotropic, shape="4 2 0 0 0"), "photometric type is 4"),
     "units": (lambda: ies(isotropic, shape="1 3 0 0 0"), "type of units is 3"),
+    "tilt file": (lambda: ies(isotropic, tilt="TILT=lamp.tlt\n"), "TILT=lamp.tlt: .* write TILT=INCLUDE"),
+    "tilt geometry": (lambda: ies(isotropic, tilt="TILT=INCLUDE\n4\n2\n0 90\n1 .8\n"), "geometry is 4; it is 1"),
+    "tilt angles": (lambda: ies(isotropic, tilt="TILT=INCLUDE\n1\n2\n90 0\n1 .8\n"), "tilt angles do not ascend"),
+    "tilt range": (lambda: ies(isotropic, tilt="TILT=INCLUDE\n1\n2\n0 270\n1 .8\n"), "go from 0 to 270 degrees"),
+    "tilt factors": (lambda: ies(isotropic, tilt="TILT=INCLUDE\n1\n2\n0 90\n1 -1\n"), "factor is negative"),
 }
 BAD_EULUMDAT = {
     "cut off": (lambda: eulumdat(isotropic)[:-40], r"intensities: there are \d+ of 37 numbers"),

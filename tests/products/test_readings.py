@@ -84,6 +84,48 @@ def test_many_paths_are_more_passes():
     assert np.allclose(found.values, 0.25, rtol=1e-4)
 
 
+def test_a_short_time_is_two_passes():
+    """The first pass takes all of the time, and a second one is made for the standard errors."""
+    found = etendue.measure(room(0.5, lamp=point([0.5, 0.4, 0.3])), [[0, 0, 0]], UP, seconds=1e-3)
+    assert found.metadata["passes"] == 2
+    assert found.metadata["stopped_by"] == "seconds"
+    assert (found.errors > 0.0).all()
+
+
+def test_a_single_pass_has_no_errors(caplog):
+    found = etendue.measure(room(0.5, lamp=point([0.5, 0.4, 0.3])), [[0, 0, 0]], UP, spp=1)
+    assert np.isnan(found.errors).all()
+    assert "standard errors are not known after a single pass" in caplog.text
+
+
+def test_resumed_readings(tmp_path):
+    """Stopped after a third of its passes, the run goes on to the readings and files of an uninterrupted one."""
+    scene, desk = room(0.5, lamp=point([0.5, 0.4, 0.3])), Meters.grid((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0), (3, 2))
+    common = {"spp": 96, "samples_per_pass": 8, "seed": 3}
+    whole = etendue.measure(scene, desk, **common)
+    file, table, picture = (tmp_path / name for name in ("run.checkpoint", "a.csv", "a.png"))
+    stopped = etendue.measure(
+        scene,
+        desk,
+        **common,
+        save=[table, picture],
+        photometric=True,
+        checkpoint=file,
+        callback=lambda update: update.progress.passes < 4,
+    )
+    assert stopped.metadata["passes"] == 4
+    table.unlink()
+    found = etendue.resume(file, scene=scene)
+    np.testing.assert_array_equal(found.values, whole.values)
+    np.testing.assert_array_equal(found.errors, whole.errors)
+    assert found.meters.cells == (3, 2)
+    rows = list(csv.reader(table.open()))
+    assert "illuminance [lx]" in rows[0]
+    np.testing.assert_allclose([float(row[6]) for row in rows[1:]], whole.photometric, rtol=1e-6)
+    assert etendue.resume(file, scene=scene, spp=192, save=tmp_path / "b.csv").metadata["samples"] == 192
+    assert (tmp_path / "b.csv").exists()
+
+
 @pytest.mark.parametrize("method", ["path", "bpt"])
 def test_a_lit_disk_by_its_configuration_factor(method):
     # A disk of radius 1 at height h over a parallel meter: F = 1 / (1 + h^2), E = pi L F.

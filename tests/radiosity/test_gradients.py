@@ -319,7 +319,7 @@ def test_what_is_refused_in_one_line():
     found = gradient(solution, segments, g)
 
     class Bare:
-        sky, dark, exchange_weights, gather = segments.sky, segments.dark, None, segments.gather
+        outside, dark, exchange_weights, gather = segments.sky, segments.dark, None, segments.gather
 
     # A closed box of mirrors, without light, in the room: its loss has no finite derivative.
     apart = Patches(*joined(box((0, 0, 0), (3, 3, 3), inward=True), box((1, 1, 1), (2, 2, 2), inward=True)))

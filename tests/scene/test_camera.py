@@ -1,11 +1,13 @@
 """A camera in the place of the scene's own: what it sees, and what is no camera."""
 
+import json
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from etendue.core import OptionError
-from etendue.scene import Camera, load
+from etendue.scene import Camera, described_sensor, load
 
 SCENE = """<scene version="3.0.0">
     <sensor type="perspective"><string name="focal_length" value="50mm"/><film type="hdrfilm"/></sensor>
@@ -43,6 +45,17 @@ def test_it_looks_where_it_is_told_to(path, sensor, axis):
     high = np.tan(np.radians(20)) * (0.5 if axis == "x" else 1.0)
     np.testing.assert_allclose(up / -up[2], [high, 0, -1], atol=1e-3)
     np.testing.assert_allclose(right / -right[2], [0, -2 * high, -1], atol=1e-3)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_pictures_tell_it(path, axis):
+    camera = Camera([1, 2, 3], [1, 2, -4], up=[1, 0, 0], fov=40, fov_axis=axis)
+    told = described_sensor(load(path, size=(60, 30), camera=camera))
+    across = 1.0 if axis == "x" else 2.0
+    assert np.tan(np.radians(0.5 * told["fov"])) == pytest.approx(across * np.tan(np.radians(20)), rel=1e-5)
+    np.testing.assert_allclose(told["to_world"], [[0, 1, 0, 1], [1, 0, 0, 2], [0, 0, -1, 3], [0, 0, 0, 1]], atol=1e-6)
+    assert told["size"] == told["crop_size"] == [60, 30]
+    assert json.loads(json.dumps(told)) == told
 
 
 def test_what_is_not_told_stays(path):

@@ -18,7 +18,7 @@ from support.spectral import spectral_variant
 from support.statistics import LEVEL, assert_agree, assert_mean
 
 from etendue.conformance import check_emitter
-from etendue.core import IndependentSource, OptionError
+from etendue.core import IndependentSource, OptionError, SceneError
 from etendue.lighting import EFFICACY, LightingError, PhotometricWeb, read_photometry
 from etendue.scene import LightTable, SceneEditor, fingerprint, load, name_elements, portable, restored
 from etendue.scene.plugins.webs import WebTable
@@ -212,12 +212,37 @@ def test_illuminance_of_a_plane(spectral, folder):
     assert expected.max() > 3 * expected.min()
 
 
+#: Methods whose passes depend on each other, or learn: (camera paths of a pass and pixel, settings).
+REPLICAS: dict[str, tuple[int, dict[str, Any]]] = {
+    "bpt": (64, {}),
+    "bpt learned": (64, {"guide_emission": "on"}),
+    "vcm": (64, {"radius": 0.02}),
+    "guided": (64, {"cell_samples": 500}),
+    "auto": (64, {"radius": 0.01}),
+    "sppm": (64, {"radius": 0.01, "light_paths": 16.0}),
+    "pssmlt": (128, {"bootstrap": 1 << 14}),
+    "mmlt": (64, {"bootstrap": 1 << 12}),
+}
+
+
 @pytest.mark.parametrize(
     ("method", "name"),
-    [("light", "lopsided"), ("bpt", "narrow"), ("bpt learned", "lopsided"), ("vcm", "lopsided"), ("mitsuba", "narrow")],
+    [
+        ("light", "lopsided"),
+        ("bpt", "narrow"),
+        ("bpt learned", "lopsided"),
+        ("vcm", "lopsided"),
+        ("guided", "lopsided"),
+        ("auto", "narrow"),
+        ("sppm", "lopsided"),
+        ("pssmlt", "narrow"),
+        ("mmlt", "lopsided"),
+        ("mitsuba", "narrow"),
+    ],
 )
 def test_methods_agree(method, name, folder):
-    """Light paths, connections, merges and learned directions against ``path``, beside another lamp."""
+    """Light paths, connections, merges, photons, guides, chains and learned directions against ``path``, beside another
+    lamp."""
     other = scenes.EMITTERS["spot"]()["light"] | {"intensity": 0.3}
     problem = load(stage(lamp(folder, name), ball=scenes.thing("phong", (-0.5, 0.302, 0.3)), other=other))
     reference = run(problem, "path", 8, 256, max_depth=4).images
@@ -226,8 +251,8 @@ def test_methods_agree(method, name, folder):
     elif method == "light":
         images = run(problem, method, 8, 256, max_depth=4).images
     else:
-        settings = {"bpt": {}, "bpt learned": {"guide_emission": "on"}, "vcm": {"radius": 0.02}}[method]
-        images = replicas(problem, method.split()[0], 6, 2, 64, max_depth=4, **settings)
+        samples, settings = REPLICAS[method]
+        images = replicas(problem, method.split()[0], 6, 2, samples, max_depth=4, **settings)
     assert_agree(images, reference, (method, name), precision=0.03)
 
 
@@ -260,6 +285,49 @@ def test_parameters_can_be_changed(folder):
     for key, value, text in (("dimming", -1.0, "at least 0"), ("flux", 0.0, "above 0")):
         with pytest.raises(OptionError, match=text):
             editor.set({f"light.{key}": value})
+
+
+def test_tilt_factors(folder):
+    """They follow the position of the luminaire and the vertical of the scene, in rays and in next event."""
+    text = ies(lopsided, np.arange(0.0, 361.0, 15.0), tilt="TILT=INCLUDE\n1\n3\n0 45 90\n1 .5 .2\n")
+    (folder / "tilting.ies").write_text(text)
+
+    def described(up: list[float], degrees: float) -> Any:
+        to_world = scenes.transform().translate(PLACE).rotate([1, 0, 0], degrees)
+        return lamp(folder, "tilting", up=mi.ScalarVector3f(up), to_world=to_world)
+
+    def flux(problem: Any) -> float:
+        light = problem.scene.emitters()[0]
+        _, weight = light.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.4))
+        it = dr.zeros(mi.Interaction3f)
+        it.p = mi.Point3f(PLACE) - mi.Vector3f(0.0, 3.0, 1.0)
+        ds, direct = light.sample_direction(it, mi.Point2f(0.5))
+        own = light.ray_pdf(-ds.d) / dr.square(ds.dist)
+        np.testing.assert_allclose(np.array(direct / own), np.array(weight), rtol=1e-5)
+        return float(np.array(weight).ravel()[0]) * EFFICACY
+
+    whole = read_photometry(folder / "tilting.ies").flux
+    prints = set()
+    for up, degrees, factor in (([0, 0, 1], 0.0, 1.0), ([0, 2, 0], -90.0, 1.0), ([0, 0, 1], 45.0, 0.5)):
+        problem = load(stage(described(up, degrees)), change=name_elements)
+        assert flux(problem) == pytest.approx(factor * whole, rel=1e-5)
+        prints.add(problem.fingerprint)
+    assert len(prints) == 3
+    SceneEditor(problem.scene).set({"light.to_world": [1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1]})
+    assert flux(problem) == pytest.approx(0.2 * whole, rel=1e-5)
+    with pytest.raises(SceneError, match=r"tilting\.ies has factors for a tilted luminaire; give 'up'"):
+        load(stage(lamp(folder, "tilting")))
+    with pytest.raises(SceneError, match="'up' is a vector of three numbers"):
+        load(stage(lamp(folder, "tilting", up=mi.ScalarVector3f(0.0))))
+
+
+def test_sets_of_lamps(folder):
+    """The set of lamps of an EULUMDAT file is a parameter."""
+    (folder / "sets.ies").write_text(eulumdat(lambertian, lamps=[(1, 3000.0, 30.0), (1, 1000.0, 12.0)]))
+    lights = [mi.load_dict(lamp(folder, "sets", lamp_set=k)).photometry.lamp_flux for k in (0, 1, 2)]
+    assert lights == [4000.0, 3000.0, 1000.0]
+    with pytest.raises(Exception, match="no set of lamps 3 among 2"):
+        mi.load_dict(lamp(folder, "sets", lamp_set=3))
 
 
 def test_a_dimmed_lamp_is_off(folder):

@@ -148,14 +148,14 @@ def test_the_sun_at_the_horizon():
     "sky", [CIE, PEREZ | {"sun": False}, {"kind": 5, "zenith_luminance": 500.0, "ground_reflectance": 0.0}]
 )
 def test_conformance(sky):
-    scene, emitter = emitter_of(**sky)
-    findings = conformance.check_emitter(emitter, scene)
-    assert {f.test for f in findings} >= {"range", "radiance", "density", "integral", "sampler"}
+    scene = load(stage(**sky)).scene
+    findings = conformance.check_emitter(scene.emitters()[0], scene)
+    assert {f.test for f in findings} >= {"range", "radiance", "density", "integral", "sampler", "power"}
     assert [f for f in findings if f.verdict == "fail"] == []
 
 
 @pytest.mark.parametrize("up", ["z", "y"])
-@pytest.mark.parametrize("method", ["path", "bpt", "vcm", "auto", "guided"])
+@pytest.mark.parametrize("method", ["path", "bpt", "vcm", "auto", "guided", "sppm"])
 def test_methods(method, up):
     """A floor under an open sky with sun: radiance = albedo E / (pi 683)."""
     turn = scenes.transform().rotate([1, 0, 0], -90) if up == "y" else None
@@ -169,6 +169,34 @@ def test_light_paths():
     image = etendue.render(stage(**CIE), method="light", spp=256, size=(12, 12), seed=4).image
     values = np.asarray(image, np.float64)[..., :3].mean(-1) * np.pi * EFFICACY / ALBEDO
     assert_mean(values.reshape(6, 2, 6, 2).mean((1, 3)).ravel(), 10_000.0)
+
+
+@pytest.mark.parametrize("up", ["z", "y"])
+@pytest.mark.parametrize("loaded", [False, True])
+def test_mitsubas_particle_tracer(loaded, up):
+    """Rays of the sky itself, from the sphere around the scene that its parameters tell, or étendue."""
+    turn = scenes.transform().rotate([1, 0, 0], -90) if up == "y" else scenes.transform()
+    described = stage(turn, **PEREZ)
+    described["sensor"]["film"] |= {"width": 8, "height": 8}
+    lower = turn @ scenes.transform().translate([0, 0, -4]).scale(2.0)  # in the shade; the sphere is not at the origin
+    described["lower"] = described["floor"] | {"to_world": lower}
+    if loaded:
+        scene = load(described).scene
+    else:
+        described["sky"] |= {"center": [0, -2, 0] if up == "y" else [0, 0, -2], "radius": 4.0}
+        scene = mi.load_dict(described)
+    tracer = mi.load_dict({"type": "ptracer", "max_depth": 2})
+    passes = [np.array(mi.render(scene, integrator=tracer, spp=2048, seed=k), np.float64) for k in range(24)]
+    means = np.array([image[..., :3].mean() for image in passes]) * np.pi * EFFICACY / ALBEDO
+    assert means.std() < 0.05 * means.mean()
+    assert_mean(means, perez_sky(SUN, 700.0, 110.0).illuminance)
+
+
+def test_rays_without_a_scene():
+    """Mitsuba's own scenes do not tell the sky where they are."""
+    _, emitter = emitter_of(**CIE)
+    with pytest.raises(OptionError, match="give 'center' and 'radius' of a sphere around it"):
+        emitter.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
 
 
 def test_place_and_time(tmp_path):
@@ -223,6 +251,9 @@ def test_bad_skies():
         "no time zone": {"kind": 1, "latitude": 3.0, "longitude": 3.0, "time": "2024-01-01T10:00"},
         "'diffuse_illuminance' is 'much'": CIE | {"diffuse_illuminance": "much"},
         "'sun' is true or false": CIE | {"sun": 3.0},
+        "'radius' is 0": CIE | {"radius": 0.0},
+        "'radius' is 'big'": CIE | {"radius": "big"},
+        "'center' is": CIE | {"center": "here", "radius": 1.0},
         "gives no light": CIE | {"diffuse_illuminance": 0.0},
         "one colour": CIE | {"color": scenes.bitmap(np.ones((2, 2, 3)))},
     }.items():

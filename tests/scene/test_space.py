@@ -11,7 +11,7 @@ from support.running import prepared, run
 from support.scenes import diffuse, rgb
 
 from etendue import render, resume
-from etendue.scene import Camera, RenderSpace, load, space
+from etendue.scene import Camera, RenderSpace, described_sensor, load, space
 from etendue.transport import TransportFunctions
 
 FAR = np.array([1.0, -0.5, 0.3])
@@ -250,6 +250,8 @@ def test_a_camera_is_put_where_it_is_asked_to_be():
     problem = load(room(1e-3, 2.0), camera=Camera([2.0, -1.0, 0.602], [2.0, -1.0, 0.6]))
     place = problem.space.to_scene(np.array(problem.sensor.world_transform().translation()).ravel())
     np.testing.assert_allclose(place, [2.0, -1.0, 0.602], atol=1e-9)
+    told = np.array(described_sensor(problem)["to_world"])  # in the metadata of pictures
+    np.testing.assert_allclose(told[:3, 3], [2.0, -1.0, 0.602], atol=1e-8)
 
 
 def test_a_camera_far_from_the_origin():

@@ -163,7 +163,7 @@ def _describe_factors(product: FormFactorProduct, result: FormFactorResult) -> N
     if result.correction is not None:
         _note(str(result.correction))
     if result.stopped_by == "exact":
-        sky = (result.patches.areas * factors.sky).sum() / result.patches.areas.sum()
+        sky = (result.patches.areas * factors.outside).sum() / result.patches.areas.sum()
         open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
         _note(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
         return
@@ -178,7 +178,7 @@ def _rows(factors: FormFactors) -> str:
     """The range of row sums, including the sky."""
     sums = factors.row_sums()[factors.areas > 0]
     least, most = f"{sums.min():.7g}", f"{sums.max():.7g}"
-    whole = "rows and sky sum to" if (factors.sky > _NO_SKY).any() else "rows sum to"
+    whole = "rows and sky sum to" if (factors.outside > _NO_SKY).any() else "rows sum to"
     return f"{whole} {least}" if least == most else f"{whole} {least} to {most}"
 
 

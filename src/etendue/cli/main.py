@@ -34,6 +34,7 @@ from .console import (
 )
 from .developing import develop
 from .film_picture import film_picture
+from .heating import heat
 from .inspection.viewing import view
 from .interrupts import leaving
 from .measuring import DaylightCommand, MeasureCommand, daylight, measure
@@ -165,7 +166,7 @@ app.command(cls=DaylightCommand)(daylight)
 def resume(
     checkpoint: Annotated[
         Path,
-        typer.Argument(help="File that a rendering, radiosity or particle command wrote.", metavar="CHECKPOINT"),
+        typer.Argument(help="Checkpoint or file of particles that another command wrote.", metavar="CHECKPOINT"),
     ],
     output: opt.Output = None,
     scene: Annotated[str | None, typer.Option(help="New path of the scene, if it has moved.", metavar="SCENE")] = None,
@@ -204,7 +205,7 @@ def resume(
     from dataclasses import replace
 
     from etendue.engine import Job
-    from etendue.products import Picture, saved_task
+    from etendue.products import MeterTable, Picture, saved_task
 
     from .experiments.records import Recorder, run_of
     from .running import choose_device, render_to_files
@@ -218,6 +219,10 @@ def resume(
         from .particles import trace_to_file
 
         return trace_to_file(task, device, saved)
+    if task.product.kind == MeterTable.kind:
+        from .measuring import resume_measuring
+
+        return resume_measuring(task, device, saved)
     if task.product.kind != Picture.kind:
         from .lines import run_on_patches
 
@@ -310,11 +315,14 @@ def diff(
 def glare(
     picture: Annotated[Path, typer.Argument(help="A rendering from the position of the eye.", metavar="PICTURE.exr")],
     view: Annotated[
-        str, typer.Option("--view", help="The sensor of the picture: spherical or perspective.", metavar="NAME")
-    ],
+        str | None,
+        typer.Option(
+            "--view", help="The sensor of the picture: spherical or perspective; by default its own.", metavar="NAME"
+        ),
+    ] = None,
     fov: Annotated[
         float | None,
-        typer.Option("--fov", help="Its field of view; spherical: of longitude, 360.", metavar="DEGREES"),
+        typer.Option("--fov", help="With --view, its field of view; spherical: of longitude, 360.", metavar="DEGREES"),
     ] = None,
     fov_axis: Annotated[
         str,
@@ -342,7 +350,9 @@ def glare(
     from .inspection.glare import show_glare
 
     wanted: Any = {"projection": view, "fov": fov, "fov_axis": fov_axis}
-    return show_glare(picture, View(**wanted), illuminance, threshold, low_light)
+    if view is None and fov is not None:
+        raise OptionError("--fov is that of a --view; give both, or none if the picture tells its camera")
+    return show_glare(picture, None if view is None else View(**wanted), illuminance, threshold, low_light)
 
 
 @app.command()
@@ -375,6 +385,7 @@ def points(
 
 app.command(cls=FactorCommand)(form_factors)
 app.command(cls=SolutionCommand)(radiosity)
+app.command()(heat)
 app.add_typer(particles, name="particles")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ from .console import error_console, note, say
 from .settings import settings_in, with_settings
 
 if TYPE_CHECKING:
+    from etendue.engine import Checkpoint, Job, Task
     from etendue.lighting import Meters
 
 
@@ -104,6 +106,10 @@ def measure(
     param: opt.Param = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Checkpoint for `etendue resume`; none by default.", metavar="FILE")
+    ] = None,
+    save_every: opt.SaveEvery = 60.0,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -114,10 +120,10 @@ def measure(
     scene needs no camera. Ctrl-C stops after the current pass and writes the table.
     """
     from etendue.engine import Job, Task
-    from etendue.products import MeterTable, budget_of, choose_method, start_job
+    from etendue.products import MeterTable, budget_of, choose_method
     from etendue.scene import SceneSource, locate
 
-    from .running import choose_device, default_name, follow
+    from .running import choose_device, default_name
 
     meters = _meters(points, grid, cells, quantity)
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
@@ -125,23 +131,43 @@ def measure(
     notes: list[str] = []
     found = locate(scene, notes.append)
     tables = output or [Path(f"{default_name(found)}-meters.csv")]
-    product = MeterTable.of(meters, tuple(tables), photometric, scale=colour_range or (None, None))
+    product = MeterTable.of(meters, tables, photometric, save_every, colour_range or (None, None), checkpoint)
     choose_device(variant, threads, scene=found)
     kind = choose_method(method, found, parameters)
     source = SceneSource(found, parameters=parameters, memory=memory, meters=meters)
     task = Task(source, kind, product, settings, seed, budget_of(kind, limits))
-    console = error_console()
 
     def open_job() -> Job:
         job = Job.open(task)
         for text in notes:
-            note(console, text)
+            note(error_console(), text)
         return job
 
-    with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        outcome = follow(lambda: start_job(open_job, None, opened), console, kind.name)
+    return _measured(task, opt.Device(variant, threads, cluster, workers), open_job)
+
+
+def resume_measuring(task: Task, device: opt.Device, saved: Checkpoint) -> int:
+    """Continue a run of ``measure``. Returns the exit status."""
+    from etendue.engine import Job
+
+    from .running import choose_device
+
+    choose_device(device.variant, device.threads, colours=saved.colours)
+    return _measured(task, device, lambda: Job.resume(saved, task))
+
+
+def _measured(task: Task, device: opt.Device, open_job: Callable[[], Job]) -> int:
+    """Measure, and print the names of the files. Returns the exit status."""
+    from etendue.products import MeterTable, start_job
+
+    from .running import follow
+
+    product, console = task.product, error_console()
+    assert isinstance(product, MeterTable)
+    with device.opened() as opened:
+        outcome = follow(lambda: start_job(open_job, None, opened), console, task.method.name)
     if outcome.result is not None:
-        note(console, outcome.result.summary(photometric))
+        note(console, outcome.result.summary(product.photometric))
         say("\n".join(map(str, product.files)))
     return outcome.exit_code
 

@@ -224,6 +224,14 @@ Method = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", help="The same seed gives the same picture.", metavar="N")]
+North = Annotated[
+    float,
+    typer.Option(
+        "--north",
+        help="Direction of north in degrees from the axis +y (up: z) or -z (up: y), clockwise seen from above.",
+        metavar="DEGREES",
+    ),
+]
 Variant = Annotated[
     str | None,
     typer.Option("--variant", help="Mitsuba variant; by default CUDA where usable, else LLVM.", metavar="NAME"),

@@ -122,7 +122,7 @@ FactorCommand = with_settings(_factor_methods, "lines")
 SolutionCommand = with_settings(_solution_methods, "lines")
 
 
-def _further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
+def further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
     """Arguments of ``read_patches``: further files, where a checkpoint finds them again."""
     named = {"more": more, "obstacles": obstacles}
     return {name: [str(path.absolute()) for path in files] if files else None for name, files in named.items()}
@@ -181,6 +181,19 @@ def form_factors(
             help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
         ),
     ] = False,
+    up: Annotated[
+        str | None,
+        typer.Option("--up", help="Axis that is up, y or z: the ground is then apart from the sky.", metavar="AXIS"),
+    ] = None,
+    north: opt.North = 0.0,
+    sky_patches: Annotated[
+        int | None,
+        typer.Option(
+            "--sky-patches",
+            help="Also the shares of the sky's patches: of Tregenza's 145 with 1, of 144 M^2 + 1 with M.",
+            metavar="M",
+        ),
+    ] = None,
     objects: ObjectsBy = None,
     walls: Annotated[
         str | None,
@@ -229,13 +242,16 @@ def form_factors(
         reciprocal=reciprocal or repair,
         threshold=threshold,
         groups=groups,
+        up=up,
+        north=north,
+        sky_patches=sky_patches,
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
         mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided, "orient": orient}
-        | _further(more, obstacles),
+        | further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -272,6 +288,7 @@ def radiosity(
             "a .png is of illuminance in false colours.",
         ),
     ] = False,
+    colour_range: opt.ColourRange = None,
     bundles: Bundles = None,
     points: Annotated[
         int | None,
@@ -442,6 +459,7 @@ def radiosity(
         outputs=SolutionFiles(
             files=files,
             photometric=photometric,
+            scale=colour_range or (None, None),
             command=command_line() if any(path.suffix == ".html" for path in files) else "",
             size=size,
             sensor=sensor,
@@ -464,7 +482,7 @@ def radiosity(
             "two_sided": two_sided,
             "orient": orient,
         }
-        | _further(more, obstacles),
+        | further(more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),

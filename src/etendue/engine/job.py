@@ -170,6 +170,7 @@ class Job:
         options |= self.product.saving(self) | {"executor": self.product.executor(self, make)}
         start, self.start = self.start, None
         options |= {"start": start, "state": self.state, "spent": self.preparation}
+        options |= {"least": self.product.least_passes}
         runner = Runner(self.method, seed=self.seed, budget=self.limits, **options)
         runner.described = lambda progress: self.product.described(self, progress)
         return runner

@@ -34,6 +34,8 @@ class Product(ABC, Generic[R]):
     checkpoint: Path | None = None
     #: Seconds between intermediate saves, ``None`` for none.
     save_every: float | None = None
+    #: Passes that are made even if they exceed a limit in time.
+    least_passes: ClassVar[int] = 1
 
     @property
     @abstractmethod

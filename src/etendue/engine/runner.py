@@ -88,6 +88,7 @@ class Runner:
     spent: seconds of preparing the method, which count towards the budget.
     executor: makes the passes.
     watched: whether :attr:`progress` has the noise even if the budget does not limit it.
+    least: passes that are made even if they exceed ``budget.seconds``, where the executor does not keep the time.
     """
 
     def __init__(
@@ -107,12 +108,13 @@ class Runner:
         spent: float = 0.0,
         executor: MakeExecutor = InTurn,
         watched: bool = True,
+        least: int = 1,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         if start is not None and state is None and method.carries_on:
             raise OptionError(f"passes of {method.name} carry on from each other: give the state after those of start")
         self._saving = Saving(save_every, save_at, clock)
-        self._stopping = Stopping(method, budget, cancel, watched)
+        self._stopping = Stopping(method, budget, cancel, watched, least)
         self.method = method
         self.seed = seed
         self.budget = budget
@@ -163,7 +165,7 @@ class Runner:
     def run(self) -> RunResult:
         """Make passes until the budget is used up, then return the result.
 
-        A pass that is predicted to exceed ``budget.seconds`` is not started, except the first one. Raises
+        A pass that is predicted to exceed ``budget.seconds`` is not started, except the first ``least``. Raises
         :class:`RunError` if a pass fails after others succeeded, the error of the first pass if it fails, and
         :class:`Cancelled` if the run was cancelled before its first pass.
         """

@@ -32,13 +32,16 @@ class CancelEvent(Protocol):
 
 class Stopping:
     """Decides after each pass whether a run continues. ``watched``: whether to estimate the noise even if the budget
-    does not limit it."""
+    does not limit it. ``least``: passes before a limit in time ends the run, unless workers keep the time."""
 
-    def __init__(self, method: Method, budget: Budget, cancel: CancelEvent | None, watched: bool = True) -> None:
+    def __init__(
+        self, method: Method, budget: Budget, cancel: CancelEvent | None, watched: bool = True, least: int = 1
+    ) -> None:
         if not budget and cancel is None:
             raise OptionError("a run needs a budget: seconds, samples, passes or error")
         self.method, self.budget = method, budget
         self._cancel = cancel
+        self._least = least
         self._watched = watched or budget.error is not None
         self._durations: deque[tuple[float, float, int]] = deque(maxlen=8)  # seconds, rays, passes of the latest steps
         self._done = 0  # steps of this run, of one pass or of several that were made at the same time
@@ -69,7 +72,7 @@ class Stopping:
         reached = self.budget.error is not None and self._error is not None and self._error <= self.budget.error
         if reached and passes >= LEAST_PASSES_FOR_ERROR:
             return "error"
-        if self.budget.seconds is not None and self.has_begun:
+        if self.budget.seconds is not None and self.has_begun and not (predicts and passes < self._least):
             assert measurement is not None
             if elapsed + (self._predict() if predicts else 0.0) + self.finish(measurement) > self.budget.seconds:
                 return "seconds"

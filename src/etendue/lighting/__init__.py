@@ -1,5 +1,6 @@
 """Lighting design and daylight as numbers: photometric files, skies, the sun, weather, glare, units. NumPy only."""
 
+from .compass import compass as compass
 from .daylight import AnnualDaylight as AnnualDaylight, DaylightCoefficients as DaylightCoefficients
 from .discomfort import (
     Glare as Glare,
@@ -19,6 +20,7 @@ from .skies import (
     perez_sky as perez_sky,
 )
 from .sun import day_of_year as day_of_year, sun_direction as sun_direction
+from .tilt import Tilt as Tilt
 from .units import EFFICACY as EFFICACY, photometric as photometric
 from .views import PROJECTIONS as PROJECTIONS, Projection as Projection, View as View
 from .weather import Weather as Weather, read_epw as read_epw

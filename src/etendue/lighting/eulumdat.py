@@ -22,23 +22,24 @@ _HEAD, _SET, _RATIOS = 26, 6, 10
 _LOSS = 0.05
 
 
-def parse_eulumdat(text: str) -> PhotometricWeb:
+def parse_eulumdat(text: str, lamp_set: int | None = None) -> PhotometricWeb:
     """The web of a file. Plane C0 is +x, across the length of the luminaire.
 
-    Intensities are those of the file, in cd per 1000 lm, times the lumens of all sets of lamps and its conversion
-    factor. A negative number of lamps means absolute photometry: the lumens are those of the luminaire. Raises
-    :class:`LightingError` for what is missing or does not fit together.
+    Intensities are those of the file, in cd per 1000 lm, times the lumens of a set of lamps and its conversion factor.
+    ``lamp_set`` is the number of the set, from 1, or 0 for all together; by default it is the first, with a warning
+    if there are others. A negative number of lamps means absolute photometry: the lumens are those of the luminaire.
+    Raises :class:`LightingError` for what is missing or does not fit together.
     """
     lines = _Lines(text)
     symmetry, planes, angles = (lines.count(number, what, least) for number, what, least in _COUNTS)
     factor = lines.number(24, "conversion factor") or 1.0  # 0: not used
     sets = lines.count(26, "number of sets of lamps", 1)
     first = _HEAD + 1
-    count = [lines.number(first + _SET * k, "number of lamps") for k in range(sets)]
-    lumens = sum(lines.number(first + _SET * k + 2, "flux of the lamps") for k in range(sets))
-    power = sum(lines.number(first + _SET * k + 5, "power of the lamps") for k in range(sets))
-    if sets > 1:
-        logger.warning(f"the file has {sets} sets of lamps, whose {lumens:g} lm are taken together")
+    lamps = [lines.number(first + _SET * k, "number of lamps") for k in range(sets)]
+    fluxes = [lines.number(first + _SET * k + 2, "flux of the lamps") for k in range(sets)]
+    watts = [lines.number(first + _SET * k + 5, "power of the lamps") for k in range(sets)]
+    chosen = _chosen(lamp_set, fluxes)
+    lumens, power = sum(fluxes[chosen]), sum(watts[chosen])
     if not (lumens > 0.0 and factor > 0.0):
         raise LightingError(f"the lamps have {lumens:g} lm, times {factor:g}; give the flux of the lamps")
     values = lines.rest(first + _SET * sets + _RATIOS)
@@ -56,7 +57,7 @@ def parse_eulumdat(text: str) -> PhotometricWeb:
         c, candela = np.append(c, 360.0), np.concatenate([candela, candela[:1]])
     c, candela = whole_circle(c, candela * (factor * lumens / 1000.0))
     length, width, height = (lines.number(number, "luminous area") / 1000.0 for number in (16, 17, 18))
-    is_absolute = min(count) < 0.0
+    is_absolute = min(lamps[chosen]) < 0.0
     web = PhotometricWeb(
         c,
         gamma,
@@ -78,6 +79,22 @@ def parse_eulumdat(text: str) -> PhotometricWeb:
 
 #: Counts of the head: (line, meaning, least value).
 _COUNTS = ((3, "symmetry", 0), (4, "number of C planes", 1), (6, "number of gamma angles", 2))
+
+
+def _chosen(lamp_set: int | None, fluxes: list[float]) -> slice:
+    """Which sets of lamps, of their ``fluxes`` in lm, are in the luminaire."""
+    if lamp_set is None and len(fluxes) > 1:
+        several = ", ".join(f"{k} of {flux:g} lm" for k, flux in enumerate(fluxes, 1))
+        logger.warning(
+            f"the file has {len(fluxes)} sets of lamps ({several}), of which the first is used; choose another by "
+            "lamp_set, or 0 for all together"
+        )
+    if lamp_set == 0:
+        return slice(None)
+    number = 1 if lamp_set is None else lamp_set
+    if number > len(fluxes):
+        raise LightingError(f"there is no set of lamps {number} among {len(fluxes)}; choose one of them, or 0 for all")
+    return slice(number - 1, number)
 
 
 def _stored(symmetry: int, c: Array) -> tuple[Array, int]:

@@ -6,9 +6,10 @@ import re
 
 import numpy as np
 
-from etendue.core import Array, logger
+from etendue.core import Array
 
 from .errors import LightingError
+from .tilt import Tilt
 from .web import PhotometricWeb, check_angles, whole_circle
 
 _TILT = re.compile(r"^\s*TILT\s*=\s*(.*?)\s*$", re.IGNORECASE)
@@ -26,23 +27,14 @@ def parse_ies(text: str) -> PhotometricWeb:
     """The web of a file of type C. The horizontal angle 0 is C = 0 (+x), along the length of the opening.
 
     Intensities are those of the file times its multiplier and its ballast factor, and, in files of 1986 and 1991, the
-    ballast-lamp photometric factor; later files have other things in this place. Factors for the tilt of a lamp do not
-    apply to the position of measurement: they are read over, with a warning. Raises :class:`LightingError` for what is
-    missing or does not fit together, and for types A and B.
+    ballast-lamp photometric factor; later files have other things in this place. Factors for the tilt of a lamp are
+    kept apart. Raises :class:`LightingError` for what is missing or does not fit together, for types A and B, and for
+    tilt factors in another file.
     """
     lines = text.splitlines()
     start, tilt = _start(lines)
     numbers = _Numbers(" ".join(lines[start:]))
-    if tilt.upper() == "INCLUDE":
-        numbers.take(1, "lamp-to-luminaire geometry")
-        pairs = numbers.count("pairs of tilt angles and factors")
-        numbers.take(pairs, "tilt angles")
-        varies = bool((numbers.take(pairs, "tilt factors") != 1.0).any())
-    else:
-        varies = tilt.upper() not in ("NONE", "")
-    if varies:
-        logger.warning(f"TILT={tilt}: factors for a lamp in a tilted luminaire are not applied")
-
+    factors = _tilt(tilt, numbers)
     lamps, lumens, multiplier = numbers.take(3, "lamp data")
     angles, planes = numbers.count("vertical angles"), numbers.count("horizontal angles")
     kind, units, width, length, height = numbers.take(5, "photometric type, units and opening")
@@ -83,6 +75,7 @@ def parse_ies(text: str) -> PhotometricWeb:
         opening=(abs(length) * metre, abs(width) * metre, abs(height) * metre),
         is_round=bool(width < 0.0),
         name=_name(lines[:start]),
+        tilt=factors,
     )
 
 
@@ -95,6 +88,22 @@ def _start(lines: list[str]) -> tuple[int, str]:
     while start and not re.search(r"[^\d\s,;.eE+-]", lines[start - 1]):
         start -= 1
     return start, ""
+
+
+def _tilt(value: str, numbers: _Numbers) -> Tilt | None:
+    """The factors that follow a line ``TILT=``; None if there are none, or if all are 1."""
+    if value.upper() in ("NONE", ""):
+        return None
+    if value.upper() != "INCLUDE":
+        raise LightingError(
+            f"TILT={value}: tilt factors in a file of their own are not read; write TILT=INCLUDE, and below it the "
+            "lines of that file"
+        )
+    (geometry,) = numbers.take(1, "lamp-to-luminaire geometry")
+    pairs = numbers.count("pairs of tilt angles and factors")
+    angles = numbers.take(pairs, "tilt angles")
+    found = Tilt(geometry, angles, numbers.take(pairs, "tilt factors"))
+    return None if (found.factors == 1.0).all() else found
 
 
 def _has_photometric_factor(lines: list[str]) -> bool:

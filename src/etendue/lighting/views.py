@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -51,6 +52,19 @@ class View:
         if not is_number(self.fov) or not (0.0 < self.fov <= 360.0 if spherical else 0.0 < self.fov < 180.0):
             most = "0 to 360" if spherical else "between 0 and 180"
             raise LightingError(f"the field of view of a {self.projection} picture is {most} degrees, not {self.fov!r}")
+
+    @classmethod
+    def of_sensor(cls, sensor: Mapping[str, Any]) -> View:
+        """The view of a picture, from what its metadata tell as ``sensor``. Raises :class:`LightingError` for sensors
+        that are no eye, and for parts of a film, whose middle is not the line of sight."""
+        kind = sensor.get("type")
+        if sensor.get("crop_size") != sensor.get("size") or "principal_point_offset" in sensor:
+            raise LightingError("the middle of the picture is not that of its camera; render the whole film, centred")
+        if kind in ("perspective", "thinlens"):
+            return cls("perspective", sensor.get("fov"))
+        if kind == "spherical":
+            return cls("spherical")
+        raise LightingError(f"the picture is of the sensor '{kind}', which is no eye; take spherical or perspective")
 
     def pixels(self, height: int, width: int) -> tuple[Array, Array, Array]:
         """Of a picture of this size: directions of the pixels' centres (height, width, 3), of unit length; their solid

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array
 
 from .errors import LightingError
+
+if TYPE_CHECKING:
+    from .tilt import Tilt
 
 #: Degrees by which angles of files are rounded.
 _ROUNDING = 1e-3
@@ -38,6 +42,7 @@ class PhotometricWeb:
     opening: extent of the luminous opening along x (C = 0), y (C = 90) and z, in m; 0: not known, or none.
     is_round: whether the opening is a disc or a cylinder around the axis.
     name: of the luminaire.
+    tilt: factors of the intensities, which are those of a luminaire aimed at the nadir, if it is tilted; None: 1.
 
     Raises :class:`LightingError` for angles or intensities that are not as described, and if all intensities are 0.
     """
@@ -50,6 +55,7 @@ class PhotometricWeb:
     opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
     is_round: bool = False
     name: str = ""
+    tilt: Tilt | None = None
 
     def __post_init__(self) -> None:
         for key in ("c", "gamma", "candela"):

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from etendue.core import Array, Iterations, Measurement, Method, OptionError, Pass, Result, Settings, SquaresOf, setting
-from etendue.lighting import SkyPatches
+from etendue.lighting import SkyPatches, compass
 from etendue.scene import Problem
 from etendue.transport import SkyViews
 
@@ -32,12 +32,7 @@ class SkySettings(Settings):
     @property
     def frame(self) -> Array:
         """(3, 3), rows east, north and up in the coordinates of the scene."""
-        turn = np.deg2rad(self.north)
-        east = np.array([np.cos(turn), -np.sin(turn), 0.0])
-        north = np.array([np.sin(turn), np.cos(turn), 0.0])
-        rows = np.stack([east, north, [0.0, 0.0, 1.0]])
-        # With y up, east is x, and what is north of a plan is -z.
-        return rows if self.up == "z" else np.stack([rows[:, 0], rows[:, 2], -rows[:, 1]], axis=1)
+        return compass(self.up, self.north)
 
 
 class SkyTracing(Method):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         check_files as check_files,
         listed as listed,
     )
+    from .heat import HeatResult as HeatResult, heat_files as heat_files
     from .pictures import (
         Image as Image,
         Picture as Picture,

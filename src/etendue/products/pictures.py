@@ -24,7 +24,7 @@ from etendue.core import (
     warn_of_nonfinite,
 )
 from etendue.engine import Budget, Checkpoint, Job, Product, RunResult, Task, check_period, silent, versions
-from etendue.scene import Problem, SceneSource
+from etendue.scene import Problem, SceneSource, described_sensor
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
 
@@ -211,6 +211,7 @@ def developed(run: RunResult, problem: Problem, seed: int) -> Result:
         "seed": seed,
         "scene": problem.source,
         "fingerprint": problem.fingerprint,
+        **({} if (sensor := described_sensor(problem)) is None else {"sensor": sensor}),
         "passes": run.passes,
         "samples": run.samples,
         "seconds": round(measurement.counters.get("seconds", run.elapsed), 3),

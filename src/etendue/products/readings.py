@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -148,16 +148,18 @@ class Readings:
 
 @dataclass
 class MeterTable(Product[Readings]):
-    """Readings and their files: tables, and pictures of grids. ``photometric``: in lx or cd/m^2. ``scale``: the ends of
-    the scale of pictures."""
+    """Readings and their files: tables, pictures of grids, and a checkpoint. ``photometric``: in lx or cd/m^2.
+    ``scale``: the ends of the scale of pictures."""
 
     kind: ClassVar[str] = "readings"
+    least_passes: ClassVar[int] = 2  #: for the standard errors
 
     meters: Meters
     tables: tuple[Path, ...] = ()
     photometric: bool = False
     save_every: float | None = None
     scale: tuple[float | None, float | None] = (None, None)
+    checkpoint: Path | None = None
 
     @classmethod
     def of(
@@ -167,13 +169,15 @@ class MeterTable(Product[Readings]):
         photometric: bool = False,
         save_every: float | None = None,
         scale: tuple[float | None, float | None] = (None, None),
+        checkpoint: PathLike | None = None,
     ) -> MeterTable:
         """Check and make. Raises :class:`OptionError` for another suffix than ``.csv`` and ``.png``, a picture of
         meters that are no grid, a scale that does not rise or has no picture, a file that is named twice or a time that
         is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
         files = tuple(check_readings_file(path, meters) for path in listed(tables))
-        made = cls(meters, files, photometric, save_every, scale)
+        kept = None if checkpoint is None else checked_path(checkpoint, "a checkpoint")
+        made = cls(meters, files, photometric, save_every, scale, kept)
         if scale != cls.scale:
             from etendue.display import check_range
 
@@ -185,8 +189,23 @@ class MeterTable(Product[Readings]):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The tables and pictures."""
-        return self.tables
+        """The tables and pictures, then the checkpoint."""
+        return self.tables if self.checkpoint is None else (*self.tables, self.checkpoint)
+
+    def notes(self) -> dict[str, Any]:
+        """See :class:`Product` and :meth:`noted`."""
+        tables = [str(path) for path in self.tables]
+        known = {"kind": self.kind, "tables": tables, "photometric": self.photometric, "scale": list(self.scale)}
+        return {"product": known}
+
+    @classmethod
+    def noted(cls, known: Mapping[str, Any], meters: Meters, tables: Sequence[PathLike], **options: Any) -> MeterTable:
+        """The product of the notes of a checkpoint, ``known``, with other ``tables`` if there are any. Raises as
+        :meth:`of`."""
+        files = tables or [Path(name) for name in known["tables"]]
+        has_picture = any(Path(path).suffix.lower() == ".png" for path in files)
+        scale = tuple(known["scale"]) if has_picture else cls.scale
+        return cls.of(meters, files, known["photometric"], scale=scale, **options)
 
     def default_budget(self, task: Task, problem: Problem) -> Budget:
         """A fixed number of paths."""
@@ -234,7 +253,12 @@ class MeterTable(Product[Readings]):
                 "%d of %d meters read 0, as number %d at %s: light does not reach them, or they are inside of solids",
                 *(len(dark), len(values), dark[0], first),
             )
+        if run.stopped_by != "running" and np.isnan(result.errors).all():
+            logger.warning("the standard errors are not known after a single pass; give more time or more paths")
         writing = Writing()
+        if self.checkpoint is not None:
+            with writing.attempt(f"write '{self.checkpoint}'"):
+                job.checkpoint(run).write(self.checkpoint)
         for path in self.tables:
             low, high = self.scale
             write = partial(result.save, photometric=self.photometric, low=low, high=high)

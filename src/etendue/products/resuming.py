@@ -14,6 +14,7 @@ from etendue.scene import SceneSource
 
 from .files import PathLike, listed
 from .pictures import Picture
+from .readings import MeterTable
 from .registry import PARTICLES, budget_of, current, find
 
 if TYPE_CHECKING:
@@ -57,9 +58,16 @@ def saved_task(
     saved.settings = _renamed(saved)
     method = find(saved.method)
     budget = budget_of(method, limits)
-    if saved.method in PARTICLES or ("product" not in saved.notes and "lines" not in saved.notes):
-        product: Product[Any] = Picture.of(save, path, save_every, False, tone, exposure)
-        source: Source = SceneSource.at(saved.scene, scene)
+    known = saved.notes.get("product", {})
+    product: Product[Any]
+    source: Source
+    if known.get("kind") == MeterTable.kind:
+        source = SceneSource.at(saved.scene, scene)
+        assert source.meters is not None
+        product = MeterTable.noted(known, source.meters, listed(save), checkpoint=path, save_every=save_every)
+    elif saved.method in PARTICLES or ("product" not in saved.notes and "lines" not in saved.notes):
+        product = Picture.of(save, path, save_every, False, tone, exposure)
+        source = SceneSource.at(saved.scene, scene)
     else:
         source, product = _patches(saved, scene, listed(save), path, save_every)
     return Task(source, method, product, {}, saved.seed, budget), saved

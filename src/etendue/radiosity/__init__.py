@@ -47,7 +47,12 @@ from .ambient.subscenes import (
     sub_scenes_of as sub_scenes_of,
 )
 from .balance import check_balance as check_balance, is_balanced as is_balanced
-from .casting import REPLICATES as REPLICATES, CastingSettings as CastingSettings, LineCasting as LineCasting
+from .casting import (
+    REPLICATES as REPLICATES,
+    SEGMENTS as SEGMENTS,
+    CastingSettings as CastingSettings,
+    LineCasting as LineCasting,
+)
 from .castlines import CastLines as CastLines
 from .errors import RadiosityError as RadiosityError
 from .factors.corrections import (
@@ -68,12 +73,15 @@ from .factors.formfactors import (
 from .factors.gebhart import gebhart_factors as gebhart_factors
 from .factors.groups import between_groups as between_groups, group_index as group_index, row_names as row_names
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
+from .factors.skyparts import sky_parts as sky_parts
 from .files.colours import coloured_mesh as coloured_mesh
+from .files.conditions import read_conditions as read_conditions
 from .files.factorfiles import (
     FACTOR_FORMATS as FACTOR_FORMATS,
     FactorFormat as FactorFormat,
     check_factors as check_factors,
     factor_format as factor_format,
+    factors_of_patches as factors_of_patches,
     no_factors as no_factors,
     read_form_factors as read_form_factors,
     save_form_factors as save_form_factors,

@@ -38,7 +38,7 @@ from .lines.engine import LineEngine, warn_of_faults
 from .lines.local import LocalRays
 from .lines.mixing import local_rays, with_local_rays
 from .lines.replicates import Replicates
-from .lines.segments import Pairs, Segments
+from .lines.segments import Directed, Pairs, Segments
 from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
 from .solvers.shot import SEQUENCES, FirstShot, Shot, ShotSums, small_emitters
@@ -59,10 +59,11 @@ _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
 _TIMED, _FEWEST_RAYS = 64, 8192
 #: Number of bundles of an unlimited stream, and the number for which the size of a pass is chosen.
 _ENDLESS, _USUAL = 1 << 31, 1024
-#: Size of a segment: two patch indices.
-_SEGMENT_BYTES = 8
-#: Names in a measurement: the record of segments, the counter of bundles, the sums of the first shot by sequence.
-_SEGMENTS, _BUNDLES, _SHOT = "segments", "bundles", "shot"
+#: Size of a segment, two patch indices, and of the direction of a bundle or ray.
+_SEGMENT_BYTES, _WAY_BYTES = 8, 32
+#: Names in a measurement: the records of segments and of their directions, the counter of bundles, the sums of the
+#: first shot by sequence.
+SEGMENTS, _DIRECTIONS, _BUNDLES, _SHOT = "segments", "directions", "bundles", "shot"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +98,8 @@ class LineCasting(Method):
     sequence with as many lines.
 
     settings: see :class:`CastingSettings`. most: the number of bundles at which the budget ends; the last pass may have
-    fewer bundles than the others. :meth:`go_on` continues a measurement whose last pass is incomplete.
+    fewer bundles than the others. directed: keep the directions of lines, for :meth:`Segments.sky_counts`.
+    :meth:`go_on` continues a measurement whose last pass is incomplete.
     """
 
     name: ClassVar[str] = "lines"
@@ -112,11 +114,12 @@ class LineCasting(Method):
         *,
         goal: Literal["irradiance", "rows"] | None = None,
         most: int | None = None,
+        directed: bool = False,
     ) -> None:
         self._options = self._given = settings or CastingSettings()
         #: Including the number of bundles per pass once :meth:`prepare` has chosen it, since it determines the passes.
         self.settings: AnySettings = self._options
-        self.goal, self.most = goal, most
+        self.goal, self.most, self.directed = goal, most, directed
         self._shot: Shot | None = None
         self._lamps: FirstShot | None = None
         self._stream: _Stream | None = None
@@ -184,11 +187,14 @@ class LineCasting(Method):
             engine = self.engine
             if self._options.replicates > 1:  # those of an earlier replicate must not count for this one
                 engine = engine.with_points(OwenSobol(4, seed=seed_key(self._seed, "owed lines", iteration)[0]))
-            chunks = [*engine.stream(left, owed, left), *chunks]
+            chunks = [*_directed(engine, self.directed, left, owed, left), *chunks]
             first, end = owed, max(owed + left, end)
         if not chunks:
             raise RadiosityError(f"pass {iteration} has no lines: the limit is {self.most} bundles")
-        chunk = np.concatenate(chunks)
+        chunk = np.concatenate([made.pairs for made in chunks])
+        records = {SEGMENTS: Record.single(chunk, iteration)}
+        if self.directed:
+            records[_DIRECTIONS] = Record.single(np.concatenate([made.ways for made in chunks]), iteration)
         sums: dict[str, Array] = {}
         weights: dict[str, Weight] = {}
         if self._shot is not None:
@@ -201,17 +207,17 @@ class LineCasting(Method):
             weights,
             Iterations.single(iteration),
             counters={"rays": float(len(chunk)), _BUNDLES: float(end - first)},
-            records={_SEGMENTS: Record.single(chunk, iteration)},
+            records=records,
         )
         return Pass(measurement, state)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """No picture, only the numbers of bundles and segments."""
-        return Result({}, {"bundles": self.bundles(measurement), "segments": len(measurement.records[_SEGMENTS])})
+        return Result({}, {"bundles": self.bundles(measurement), "segments": len(measurement.records[SEGMENTS])})
 
     def noise(self, measurement: Measurement) -> float | None:
         """Square of the standard error of ``goal``; ``None`` for fewer than 16 passes, and without a goal."""
-        record = measurement.records[_SEGMENTS]
+        record = measurement.records[SEGMENTS]
         if self.goal is None or len(record.passes) < _LEAST_PASSES:
             return None
         if self.goal == "rows":
@@ -221,7 +227,7 @@ class LineCasting(Method):
 
     def finish_seconds(self, measurement: Measurement) -> float:
         """Estimated seconds to compute segments and a solution from ``measurement``; see ``core.Method``."""
-        record = measurement.records[_SEGMENTS]
+        record = measurement.records[SEGMENTS]
         made, passes = len(record), record.passes
         if len(passes) >= 2 * self._timed:
             self._timed = len(passes)
@@ -275,7 +281,7 @@ class LineCasting(Method):
         files of a record and take no memory.
         """
         free, each = free_memory(), float(self.engine.expected(1).sum()) / 2
-        stored = 0 if in_files else _SEGMENT_BYTES
+        stored = 0 if in_files else self._bytes
         if free is None or not (matrix or stored):
             return _ENDLESS
         if not matrix:
@@ -287,11 +293,11 @@ class LineCasting(Method):
     @property
     def bytes_per_bundle(self) -> float:
         """Expected size of the segments of a bundle."""
-        return _SEGMENT_BYTES * float(self.engine.expected(1).sum()) / 2
+        return self._bytes * float(self.engine.expected(1).sum()) / 2
 
     def attributes_for_workers(self) -> dict[str, Any]:
         """See ``core.Method``."""
-        return {"most": self.most, "owed": self.owed}
+        return {"most": self.most, "owed": self.owed, "directed": self.directed}
 
     def close(self) -> None:
         """End the casting, including lines that are cast ahead."""
@@ -301,6 +307,11 @@ class LineCasting(Method):
 
     # ------------------------------------------------------------------ internals
 
+    @property
+    def _bytes(self) -> int:
+        """Size of a stored segment; each ray has its own direction, bundles have few."""
+        return _SEGMENT_BYTES + (_WAY_BYTES if self.directed and self.engine.bundles is None else 0)
+
     @cached_property
     def _scene(self) -> RayScene:
         return RayScene(self.patches)
@@ -309,13 +320,14 @@ class LineCasting(Method):
         """Segments between patches, the sky and dark."""
         return self.engine.stream(count, first)
 
-    def _cast(self, iteration: int) -> Pairs:
+    def _cast(self, iteration: int) -> Directed:
         """The segments of a pass. Consecutive passes share a stream, in which engines cast ahead."""
         if self._stream is None or self._stream.next_pass != iteration:
             self.close()
             first = iteration * self.samples_per_iteration
             count = (self.most or _ENDLESS) - first
-            self._stream = _Stream(self.engine.stream(count, first, self.samples_per_iteration), iteration)
+            made = _directed(self.engine, self.directed, count, first, self.samples_per_iteration)
+            self._stream = _Stream(made, iteration)
         try:
             return self._stream.take()
         except BaseException:
@@ -358,20 +370,29 @@ class LineCasting(Method):
         return Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
 
     def _lines(self, measurement: Measurement) -> Segments:
-        record, replicates = measurement.records[_SEGMENTS], self._options.replicates
+        record, replicates = measurement.records[SEGMENTS], self._options.replicates
         iterations = np.array([iteration for _, iteration in record.passes])
         order, batches = np.arange(len(iterations)), min(_BATCHES, len(iterations))
         batch = order * batches // len(order) if replicates == 1 else iterations % replicates
-        return Segments(self.patches, list(record), batch, self.engine.expected(self.bundles(measurement)))
+        ways = list(measurement.records[_DIRECTIONS]) if _DIRECTIONS in measurement.records else None
+        expected, are_even = self.engine.expected(self.bundles(measurement)), self.engine.bundles is not None
+        return Segments(self.patches, list(record), batch, expected, ways, are_even)
+
+
+def _directed(engine: LineEngine, directed: bool, *asked: int) -> Iterator[Directed]:
+    """The segments of a stream, with directions if ``directed``."""
+    if directed:
+        return engine.directed(*asked)
+    return (Directed(pairs, np.empty((0, 4))) for pairs in engine.stream(*asked))
 
 
 class _Stream:
     """The segments of consecutive passes."""
 
-    def __init__(self, chunks: Iterator[Pairs], iteration: int) -> None:
+    def __init__(self, chunks: Iterator[Directed], iteration: int) -> None:
         self._chunks, self.next_pass = chunks, iteration
 
-    def take(self) -> Pairs:
+    def take(self) -> Directed:
         """The segments of the next pass."""
         chunk = next(self._chunks)
         self.next_pass += 1

@@ -96,8 +96,8 @@ def gradient(
     if dloss is None and dirradiance is None:
         raise RadiosityError("a gradient needs the derivative of a loss: give dloss (by radiosity) or dirradiance")
     g, h = _derivative("dloss", dloss, patches), _derivative("dirradiance", dirradiance, patches)
-    if len(transport.sky) != len(patches):
-        raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
+    if len(transport.outside) != len(patches):
+        raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.outside)}")
     carried = solution.radiosity if shot is None else solution.radiosity - shot.emission
     arrives = transport.gather(carried, patches.sky) + (0.0 if shot is None else shot.irradiance)
     if not np.abs(arrives - solution.irradiance).max() <= _SAME * np.abs(solution.irradiance).max():

@@ -74,10 +74,11 @@ class HeatBalance:
 
     @property
     def imbalance(self) -> Array:
-        """(c,) heat that is sent and does not reach the sky, relative to all heat that is sent or received: the error
+        """(c,) heat that is sent and does not reach the sky, relative to all radiation that leaves patches: the error
         of form factors that are not reciprocal, or whose rows do not sum to 1."""
-        total = np.abs(self.heat).sum(axis=0)
-        return np.divide(np.abs(self.heat.sum(axis=0) - self.to_sky), total, out=np.zeros_like(total), where=total > 0)
+        total = self.patches.areas @ np.abs(self.radiosity)
+        lost = np.abs(self.heat.sum(axis=0) - self.to_sky)
+        return np.divide(lost, total, out=np.zeros_like(total), where=total > 0)
 
 
 def heat_balance(

@@ -54,6 +54,24 @@ def count_ends(pairs: Pairs, counts: NDArray[np.int64]) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def count_parts(pairs: Pairs, ends: Index, near: Index, far: Index, counts: Array) -> None:
+    """Add to ``counts`` (n, parts) the segments of each patch that lead to the sky, by the part of the sky.
+
+    ends: (b,) the index behind the last segment of each bundle; near, far: (b,) the part from which its lines come, and
+    the part to which they go.
+    """
+    sky, k = len(counts), 0
+    for b in range(len(ends)):
+        while k < ends[b]:
+            i, j = pairs[k, 0], pairs[k, 1]
+            if i == sky and j < sky:
+                counts[j, near[b]] += 1
+            elif j == sky and i < sky:
+                counts[i, far[b]] += 1
+            k += 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def count_rows(pairs: Pairs, patches: int, rows: Index) -> None:
     """Add to ``rows[i]`` (n,) the number of segments between patches whose smaller index is i."""
     for k in range(len(pairs)):

@@ -7,7 +7,7 @@ from etendue.core import on_use
 if TYPE_CHECKING:
     from . import graph as graph, meshes as meshes
     from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
-    from .camera import MOVABLE as MOVABLE, Camera as Camera
+    from .camera import MOVABLE as MOVABLE, Camera as Camera, described_sensor as described_sensor
     from .capability import check as check, is_dark as is_dark
     from .changes.edits import ParameterChanges as ParameterChanges, name_elements as name_elements
     from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as SceneParameter

@@ -10,11 +10,14 @@ import numpy as np
 
 from etendue.core import OptionError, is_number
 
-from .graph import plugin_name
+from .graph import as_array, contents, plugin_name
 from .parsing import read_properties
+from .space import SENSORS
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from .problem import Problem
 
 #: Sensors with a position, a direction and a field of view.
 MOVABLE = ("perspective", "thinlens")
@@ -77,6 +80,29 @@ class Camera:
                     del props["focal_length"]
                 props["fov"] = float(self.fov)
                 props["fov_axis"] = self.fov_axis
+
+
+def described_sensor(problem: Problem) -> dict[str, Any] | None:
+    """What the sensor of a problem shows, as plain values for the metadata of a picture; ``None`` if it is no camera.
+
+    ``type``: the plugin. ``to_world``: rows of the matrix from its own coordinates to those of the scene: x to the left
+    of the picture, y up, z ahead. ``fov``: field of view of the width of the film in degrees, of perspective cameras.
+    ``size``, ``crop_size``, ``crop_offset``: of film and crop window in pixels; ``principal_point_offset``: if the
+    camera does not look at the middle of the film.
+    """
+    sensor, kind = problem.sensor, plugin_name(problem.sensor)
+    if kind not in SENSORS:
+        return None
+    values, film = dict(contents(sensor).values), sensor.film()
+    matrix = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+    matrix[:3, 3] = problem.space.to_scene(matrix[:3, 3])
+    made: dict[str, Any] = {"type": kind, "to_world": [[float(f"{x:.9g}") for x in row] for row in matrix]}
+    if "x_fov" in values:
+        made["fov"] = float(f"{as_array(values['x_fov']).ravel()[0]:.7g}")
+    for name in ("size", "crop_size", "crop_offset"):
+        made[name] = [int(n) for n in np.asarray(getattr(film, name)()).ravel()]
+    offset = [float(as_array(values.get(f"principal_point_offset_{axis}", 0.0)).ravel()[0]) for axis in "xy"]
+    return made | ({"principal_point_offset": offset} if any(offset) else {})
 
 
 def check_movable(sensor: mi.Sensor, name: str) -> None:

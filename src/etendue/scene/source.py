@@ -79,6 +79,8 @@ class SceneSource:
             place["camera"] = self.camera.to_dict()
         if not self.merge:
             place["merge"] = False
+        if self.meters is not None:
+            place |= {"meters": self.meters.to_dict(), "lit": self.lit}
         return place
 
     @classmethod
@@ -87,11 +89,13 @@ class SceneSource:
         :class:`SceneError` for a bundled scene that does not exist."""
         if scene is None:
             scene = found(place)
-        known = {name: place[name] for name in ("sensor", "parameters", "memory", "merge") if name in place}
+        known = {name: place[name] for name in ("sensor", "parameters", "memory", "merge", "lit") if name in place}
         if "size" in place:
             known["size"] = tuple(place["size"])
         if "camera" in place:
             known["camera"] = Camera(**{"fov_axis": "y", **place["camera"]})  # version 1 had this axis only
+        if "meters" in place:
+            known["meters"] = Meters(**place["meters"])
         return cls(scene, **known)
 
     def ingredients(self, problem: Problem) -> Ingredients:

@@ -18,8 +18,9 @@ from ..console import say
 _LISTED = 20
 
 
-def show_glare(picture: Path, view: View, illuminance: float | None, threshold: str, low_light: bool) -> int:
-    """Show UGR, DGP and the sources of glare of a picture. Raises :class:`OptionError`."""
+def show_glare(picture: Path, view: View | None, illuminance: float | None, threshold: str, low_light: bool) -> int:
+    """Show UGR, DGP and the sources of glare of a picture; without a ``view``, as its metadata tell. Raises
+    :class:`OptionError`."""
     if picture.suffix.lower() != ".exr":
         raise OptionError(f"glare is computed from radiance, which is in an .exr, not in '{picture.name}'")
     relative = threshold.endswith("x")
@@ -29,6 +30,8 @@ def show_glare(picture: Path, view: View, illuminance: float | None, threshold: 
         raise OptionError(
             f"--threshold is a luminance in cd/m^2, or 5x for 5 times the mean, not '{threshold}'"
         ) from None
+    if view is None:
+        view = _own_view(picture)
     pixels = film.read_image(picture)
     found = glare(
         pixels, view, vertical_illuminance=illuminance, threshold=limit, relative=relative, low_light=low_light
@@ -45,3 +48,13 @@ def show_glare(picture: Path, view: View, illuminance: float | None, threshold: 
         table.add_row(*numbers.split(), f"{share:.1%}")
     Console(highlight=False).print("", table)
     return 0
+
+
+def _own_view(picture: Path) -> View:
+    """The view of the camera that a picture's metadata describe. Raises :class:`OptionError`."""
+    sensor = film.read_exr(picture).metadata.get("sensor")
+    if not isinstance(sensor, dict):
+        raise OptionError(
+            f"'{picture.name}' does not tell its camera; give --view spherical, or --view perspective and --fov"
+        )
+    return View.of_sensor(sensor)

@@ -160,7 +160,7 @@ def _factors(factors: Any, more: Mapping[str, Any] | None = None) -> str:
         "factors above zero": factors.matrix.nnz,
         "row sums with the sky": f"{sums.min():.6g} to {sums.max():.6g}",
         "standard error of a row": number_text(float(factors.row_errors().mean()), 2),
-        "share of the sky": f"{100 * float((factors.areas * factors.sky).sum() / factors.areas.sum()):.3g} %",
+        "share of the sky": f"{100 * float((factors.areas * factors.outside).sum() / factors.areas.sum()):.3g} %",
     }
     figures = []
     if factors.matrix.nnz:

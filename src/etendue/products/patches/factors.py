@@ -11,7 +11,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from etendue.core import OptionError, Settings, suggest
-from etendue.engine import Job, RunResult, Task, silent
+from etendue.engine import Budget, Job, RunResult, Task, silent
+from etendue.lighting import SkyPatches, compass
 from etendue.radiosity import (
     ESTIMATORS,
     Correction,
@@ -33,18 +34,24 @@ from etendue.radiosity import (
     no_factors,
     partial_form_factors,
     save_form_factors,
+    sky_parts,
 )
 
 from ..files import Writing, about
 from ..results import FormFactorResult
 from .base import PatchProduct
 
+#: Bundles for each patch of the sky, at least, unless a budget is given; rounded up to a power of two.
+_BUNDLES_PER_PATCH = 16
+
 
 @dataclass(kw_only=True)
 class FormFactorProduct(PatchProduct[FormFactorResult]):
     """Form factors by an ``estimator``, see :func:`etendue.radiosity.estimate`, and their ``outputs``; ``row_sums``,
     ``reciprocal`` and ``threshold`` are corrections, see :func:`etendue.radiosity.corrected`. ``groups``: files have
-    the factors between groups, see :func:`etendue.radiosity.between_groups`."""
+    the factors between groups, see :func:`etendue.radiosity.between_groups`. ``up``: the axis that is up; the ground is
+    then apart from the sky, in ``sky_patches`` = m times 144 m + 1 patches if these are asked for, see
+    :func:`etendue.radiosity.sky_parts`."""
 
     kind: ClassVar[str] = "form factors"
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
@@ -54,6 +61,9 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     reciprocal: bool = False
     threshold: float = 0.0
     groups: bool = False
+    up: str | None = None
+    north: float = 0.0
+    sky_patches: int | None = None
     outputs: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
@@ -61,6 +71,13 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         if self.estimator not in ESTIMATORS:
             raise OptionError(f"there is no estimator '{self.estimator}'; {suggest(self.estimator, ESTIMATORS)}")
         check_threshold(self.threshold)
+        if self.sky_patches is not None:
+            self.up = self.up or "z"
+            self._sky = SkyPatches(self.sky_patches)
+        elif self.north:
+            raise OptionError("north has an effect on patches of the sky only: give sky_patches, or leave it out")
+        if self.up is not None:
+            compass(self.up, self.north)
         for path in self.outputs:
             factor_format(path)
 
@@ -86,6 +103,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             "estimator": self.estimator,
             **self._asked,
             "groups": self.groups,
+            **self._outside,
             "outputs": [str(path.absolute()) for path in self.outputs],
         }
         return {"product": {"kind": self.kind, **known}}
@@ -95,6 +113,19 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         """The corrections that are asked for."""
         named = {name: getattr(self, name) for name in ("row_sums", "reciprocal", "threshold")}
         return {name: value for name, value in named.items() if value}
+
+    @property
+    def _outside(self) -> dict[str, Any]:
+        """What is asked for of the outside of the scene."""
+        named = {"up": self.up, "north": self.north or None, "sky_patches": self.sky_patches}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def default_budget(self, task: Task, problem: PatchProblem) -> Budget:
+        """See :class:`PatchProduct`; with patches of the sky, some bundles for each."""
+        usual = super().default_budget(task, problem)
+        if self.sky_patches is None or usual.samples is None:
+            return usual
+        return Budget(samples=max(usual.samples, 1 << (_BUNDLES_PER_PATCH * self._sky.count - 1).bit_length()))
 
     def _corrected(self, factors: FormFactors) -> tuple[FormFactors, Correction | None]:
         if not self._asked:
@@ -106,13 +137,16 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         if issubclass(kind, HierarchicalCasting):
             source: Any = task.source
             return HierarchicalCasting(source.objects_of(problem.patches), settings, **own)  # type: ignore[arg-type]
-        return super()._casting(task, kind, settings, problem, **own)
+        return super()._casting(task, kind, settings, problem, **own, directed=self.up is not None)
 
     def _make(self, job: Job, run: RunResult, writing: Writing, tell: Callable[[str], object]) -> FormFactorResult:
         bundles, segments = self._counted(job, run, tell)
         make: Any = partial_form_factors if isinstance(segments, PartialSegments) else form_factors
-        factors, correction = self._corrected(make(segments, self.estimator))
-        known = self._metadata(job, bundles=bundles, estimator=self.estimator, **self._asked)
+        found = make(segments, self.estimator)
+        if self.up is not None:
+            found = sky_parts(found, segments, self.up, self.north, self.sky_patches)
+        factors, correction = self._corrected(found)
+        known = self._metadata(job, bundles=bundles, estimator=self.estimator, **self._asked, **self._outside)
         patches = job.problem.patches
         groups = self._write(writing, patches, factors, known)
         return FormFactorResult(

@@ -15,7 +15,7 @@ from etendue.core import OptionError, Progress, Result, is_whole, prepared
 from etendue.engine import Budget, RunError, Runner
 from etendue.methods import ImageMethod, ImageSettings, Path
 from etendue.radiosity import RadiosityError, Solution, check_colours, irradiance_on, radiosity_on
-from etendue.scene import Problem, check, load
+from etendue.scene import Problem, check, described_sensor, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues, check_place, solution_map
 from etendue.transport import CameraSampler
 
@@ -92,7 +92,7 @@ def picture(
         seen = _Seen(surfaces, SurfaceValues(surfaces, shown[0]), shown[1])
         layers["error"] = _run(seen, problem, min(spp, 16), seed)
     known = {"method": method.name, "samples": gather or spp, "smooth": smooth, "patches": len(solution.patches)}
-    return Result(layers, known)
+    return Result(layers, known | {"sensor": described_sensor(problem)})
 
 
 def _run(

@@ -23,7 +23,7 @@ def illuminance_text(solution: Solution) -> str:
     return f"illuminance {values.min():.4g} to {values.max():.4g} lx, mean {mean:.4g}"
 
 
-def illuminance_picture(made: Result) -> NDArray[np.uint8]:
-    """A picture of irradiance as illuminance in false colours with isolines, see
-    :func:`etendue.display.false_colour_picture`."""
-    return false_colour_picture(photometric(made.image), "lx", lines=True)
+def illuminance_picture(made: Result, low: float | None = None, high: float | None = None) -> NDArray[np.uint8]:
+    """A picture of irradiance as illuminance in false colours with isolines. ``low``, ``high``: the ends of the scale,
+    see :func:`etendue.display.false_colour_picture`."""
+    return false_colour_picture(photometric(made.image), "lx", low, high, lines=True)

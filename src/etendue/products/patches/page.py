@@ -73,10 +73,14 @@ def write_solution_page(
     picture: Result | None = None,
     *,
     photometric: bool = False,
+    scale: tuple[float | None, float | None] = (None, None),
 ) -> None:
     """Write the page. ``error``: of the irradiance; ``picture``: a picture of the solution, if ``photometric`` of its
-    irradiance. Raises :class:`OutputError` if the file cannot be written."""
-    text = render_solution_page(solution, error, metadata, problem, making, picture, photometric=photometric)
+    irradiance, whose illuminance is shown from low to high of ``scale``, in lx. Raises :class:`OutputError` if the file
+    cannot be written."""
+    text = render_solution_page(
+        solution, error, metadata, problem, making, picture, photometric=photometric, scale=scale
+    )
     write_bytes(path, text.encode())
 
 
@@ -89,6 +93,7 @@ def render_solution_page(
     picture: Result | None = None,
     *,
     photometric: bool = False,
+    scale: tuple[float | None, float | None] = (None, None),
 ) -> str:
     """The text of the page, see :func:`write_solution_page`."""
     patches = solution.patches
@@ -101,7 +106,7 @@ def render_solution_page(
         Figure(tonemap(s.layers[0].values, exposure), f"mesh, {s.name}", s.name, index=i) for i, s in enumerate(stacks)
     ]
     if picture is not None:
-        shown = illuminance_picture(picture) if photometric else tonemap(picture.image, "auto")
+        shown = illuminance_picture(picture, *scale) if photometric else tonemap(picture.image, "auto")
         name = "illuminance" if photometric else "picture"
         figures.append(Figure(shown, f"{name} of the solution", name, "smooth"))
     page.add(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from etendue.core import free_memory
 from etendue.engine import Budget, Job, RunResult
-from etendue.radiosity import LineCasting, RadiosityError
+from etendue.radiosity import SEGMENTS, LineCasting, RadiosityError
 
 if TYPE_CHECKING:
     from etendue.core import Measurement, RecordFile
@@ -45,7 +45,7 @@ class LineRoom:
         if self._room is None:
             free = free_memory()
             self._room = float("inf") if free is None else _UNSAVED_SHARE * free
-        (record,) = measurement.records.values()
+        record = measurement.records[SEGMENTS]
         if record.files is not self._files:  # a new list after each save
             self._files, self._rows_in_files = record.files, sum(map(len, record.files))
         rows = next(iter(record))

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from etendue.core import Array, BackendError, OptionError, Result, is_whole
-from etendue.display import false_colour, write_png
+from etendue.display import check_range, false_colour, write_png
 from etendue.film import LUMINANCE
 from etendue.radiosity import (
     LIGHTMAP_MESHES,
@@ -69,6 +69,7 @@ class SolutionFiles:
     files: tuple[Path, ...] = ()
     photometric: bool = False  #: illuminance as arrays, in pages, and as the picture, in false colours
     # Of pictures.
+    scale: tuple[float | None, float | None] = (None, None)  #: ends of the false colours of illuminance, in lx
     size: tuple[int, int] | None = None
     sensor: int = 0
     gather: int = 0  #: paths per pixel for final gathering; 0 shows the patches
@@ -139,6 +140,10 @@ class SolutionFiles:
             raise BackendError("an atlas needs xatlas, not installed: pip install 'etendue[lightmap]', or give uv")
 
     def _check_photometric(self) -> None:
+        if any(end is not None for end in self.scale):
+            check_range(*self.scale)
+            if not (self.photometric and any(path.suffix.lower() == ".png" for path in self.files)):
+                raise OptionError("a range is that of the false colours of illuminance; write a photometric .png")
         if not self.photometric:
             return
         if other := next((path.name for path in self.files if path.suffix.lower() not in _PHOTOMETRIC), None):
@@ -206,7 +211,15 @@ class SolutionFiles:
                 tell("writing the page")
                 made = replace(making or Making(), command=self.command)
                 write_solution_page(
-                    path, solution, error, metadata, problem, made, shown.picture, photometric=self.photometric
+                    path,
+                    solution,
+                    error,
+                    metadata,
+                    problem,
+                    made,
+                    shown.picture,
+                    photometric=self.photometric,
+                    scale=self.scale,
                 )
         return shown
 
@@ -234,7 +247,7 @@ class SolutionFiles:
         for path in self.pictures:
             with writing.attempt(f"write '{path}'"):
                 if self.photometric:
-                    write_png(path, illuminance_picture(made))
+                    write_png(path, illuminance_picture(made, *self.scale))
                 else:
                     save_result(path, made)
         for path in self.error_pictures:
@@ -285,8 +298,9 @@ class SolutionFiles:
         """Inverse of :meth:`to_dict`. Raises :class:`TypeError` or :class:`KeyError` for other values."""
         lightmap, size = plain.get("lightmap"), plain.get("size")
         paths = {"files": tuple(map(Path, plain["files"])), "lightmap": lightmap and Path(lightmap)}
+        scale = {"scale": tuple(plain["scale"])} if "scale" in plain else {}
         known = {"spp" if name == "samples" else name: value for name, value in plain.items()}  # an earlier name
-        return cls(**{**known, **paths, "size": size and tuple(size)})  # JSON knows no tuples
+        return cls(**{**known, **paths, "size": size and tuple(size), **scale})  # JSON knows no tuples
 
 
 def files_and_lightmap(outputs: Sequence[Path]) -> tuple[tuple[Path, ...], Path]:

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import numpy as np
-
 from etendue.core import OptionError, Settings, is_whole, logger, prepared, suggest
 from etendue.distributed import Correspondence, Rounds, recipe
 from etendue.engine import Budget, Job, MakeExecutor, Replicated, RunResult, Task, silent
@@ -33,10 +31,10 @@ from etendue.radiosity import (
     check_direct,
     check_divisible,
     entry_bytes,
+    factors_of_patches,
     form_factors,
     is_balanced,
     part_ingredients,
-    read_form_factors,
     relative_error,
     solve,
     sub_scenes,
@@ -66,8 +64,6 @@ _SHOT_RAYS, _LEAST_SHOT_RAYS = 1 << 20, 1 << 16
 _MOST_SHOT_RAYS, _SHOT_SHARE = 1 << 27, 0.5
 #: Share of missed segments from which a warning is given.
 _MISSED = 2e-3
-#: Relative difference of areas, and deviation of row sums from 1, that files of form factors may have: numbers in text.
-_SAME_AREA, _WHOLE_ROW = 1e-4, 1e-3
 
 
 @dataclass(kw_only=True)
@@ -328,21 +324,7 @@ class SolutionProduct(PatchProduct[RadiosityResult]):
         return result
 
     def _by_factors(self, path: Path, patches: Patches) -> Solution:
-        factors = read_form_factors(path)
-        if len(factors) != len(patches):
-            raise RadiosityError(
-                f"'{path}' has {len(factors)} rows, and there are {len(patches)} patches: read the mesh as for the "
-                "form factors (max_area, ids, two_sided)"
-            )
-        other = np.flatnonzero(np.abs(factors.areas - patches.areas) > _SAME_AREA * patches.areas)
-        if len(other):
-            raise RadiosityError(
-                f"'{path}' is of other patches: row {other[0]} has the area {factors.areas[other[0]]:.6g}, and patch "
-                f"{other[0]} has {patches.areas[other[0]]:.6g}"
-            )
-        off = np.abs(factors.row_sums() + factors.dark - 1)[patches.areas > 0].max(initial=0.0)
-        if off > _WHOLE_ROW:
-            logger.warning("row sums of '%s' are off by up to %.2g, and the power of the solution with them", path, off)
+        factors = factors_of_patches(path, patches)
         if self.solver is None and factors.exchange_weights is None:
             self.solver = "gauss-seidel"  # conjugate-gradient is for reciprocal factors
         return solve(patches, factors, self.chosen_solver)  # type: ignore[arg-type]

@@ -98,6 +98,9 @@ class FactorRun(PatchRun):
     reciprocal: bool = False
     threshold: float = 0.0
     groups: bool = False
+    up: str | None = None
+    north: float = 0.0
+    sky_patches: int | None = None
     outputs: tuple[Path, ...] = ()
 
     def task(self) -> Task | AtOnce:
@@ -111,9 +114,11 @@ class FactorRun(PatchRun):
             self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
         source = PatchSource(**self._given(), walls=self.walls)
         estimator = self.estimator or ("F4" if around else "F1")
-        names = ("row_sums", "reciprocal", "threshold", "groups", "outputs")
+        names = ("row_sums", "reciprocal", "threshold", "groups", "up", "north", "sky_patches", "outputs")
         asked = {name: getattr(self, name) for name in names}
         product = FormFactorProduct(**self._common(method), estimator=estimator, **asked)
+        if product.up is not None and method != LineCasting.name:
+            raise OptionError(f"up and sky_patches are for method {LineCasting.name}, whose lines have directions")
         if method == EXACT:
             self._refuse_limits("method exact")
             product.check_files(False)

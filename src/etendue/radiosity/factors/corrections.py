@@ -129,7 +129,7 @@ def _changes(before: FormFactors, after: FormFactors, row_errors: Array, dropped
     counted = np.sqrt(np.maximum(was, entries.data)) * row_errors[entries.row]
     changes, errors = [entries.data - was], [np.maximum(error, counted)]
     asked = [dropped[entries.row] + dropped[entries.col]]
-    for share, now in ((before.sky, after.sky), (before.dark, after.dark)):
+    for share, now in ((before.outside, after.outside), (before.dark, after.dark)):
         rows = np.flatnonzero(share)
         changes.append((now - share)[rows])
         errors.append(np.sqrt(share[rows]) * row_errors[rows])

@@ -39,6 +39,10 @@ class FormFactors(InNotebooks):
     structure.
     ``sky``: (n,) the share that leaves the scene. ``areas``: (n,). ``lines``: (n,) lines or rays behind each row.
     ``dark``: (n,) the share that ends on backs of faces, by default none.
+    ``ground``: (n,) the share that leaves the scene downward; ``sky`` is then the rest of what leaves. ``None`` if they
+    are not apart, and ``sky`` is both.
+    ``sky_patches``: (n, p) the shares of the sky's patches 1 to p of :class:`etendue.lighting.SkyPatches`, which sum to
+    ``sky``; ``None`` if they are not known. See :func:`sky_parts`.
     ``face``, ``label``, ``name``: (n,) the first face of each patch, its label and the name of its shape, see
     :class:`Patches`; ``None`` if they are not known.
     """
@@ -57,6 +61,8 @@ class FormFactors(InNotebooks):
     face: NDArray[np.int64] | None = None
     label: NDArray[np.int64] | None = None
     name: NDArray[np.str_] | None = None
+    ground: Array | None = None
+    sky_patches: Array | None = None
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -66,17 +72,23 @@ class FormFactors(InNotebooks):
         """``face``, ``label`` and ``name``."""
         return {name: getattr(self, name) for name in NUMBERS}
 
+    @property
+    def outside(self) -> Array:
+        """(n,) the share that leaves the scene: of the sky and of the ground."""
+        return self.sky if self.ground is None else self.sky + self.ground
+
     def gather(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
-        """F values: the mean over what each patch sees, (n,) or (n, c); ``sky`` is the value of the sky."""
+        """F values: the mean over what each patch sees, (n,) or (n, c); ``sky`` is the value of what is outside of the
+        scene, sky and ground."""
         x = np.asarray(values, dtype=np.float64)
         if x.ndim not in (1, 2) or len(x) != len(self):
             raise RadiosityError(f"values have one row for each of {len(self)} patches, not shape {x.shape}")
-        light = self.sky if x.ndim == 1 else self.sky[:, None]
+        light = self.outside if x.ndim == 1 else self.outside[:, None]
         return self.matrix @ x + light * np.asarray(sky)
 
     def row_sums(self) -> Array:
-        """(n,) row sums including the sky; 1 minus ``dark``, up to the error: 1 in a closed scene."""
-        return np.asarray(self.matrix.sum(axis=1)).ravel() + self.sky
+        """(n,) row sums including the sky and the ground; 1 minus ``dark``, up to the error: 1 in a closed scene."""
+        return np.asarray(self.matrix.sum(axis=1)).ravel() + self.outside
 
     def row_errors(self) -> Array:
         """(n,) root of the summed squares of the standard errors of a row. The standard error of ``F values``, such as
@@ -95,7 +107,7 @@ class FormFactors(InNotebooks):
         sums = self.row_sums() + self.dark
         scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0)
         matrix, errors = (_diagonal(scale) @ entries for entries in (self.matrix, self.errors))
-        return replace(self, matrix=matrix, errors=errors, sky=self.sky * scale, dark=self.dark * scale)
+        return replace(self, matrix=matrix, errors=errors, **self._scaled_ends(scale))
 
     def reciprocal(self) -> FormFactors:
         """Form factors with ``A_i F_ij = A_j F_ji``: the mean of both, weighted by the lines per area of the patches as
@@ -142,7 +154,7 @@ class FormFactors(InNotebooks):
         mean = self.reciprocal()
         exchange = mean._exchange()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
-        ends = self.areas * (self.sky + self.dark)
+        ends = self.areas * (self.outside + self.dark)
         # The smallest changes have the form S_ij (x_i + x_j) for pairs, and S_i x_i for the sky and for backs, which
         # belong to one row. Row sums then require (diag(all sums) + S) x = missing.
         missing, system = self.areas - sums - ends, _diagonal(sums + ends) + exchange
@@ -158,7 +170,7 @@ class FormFactors(InNotebooks):
         if (factor < 0).any() or ((1 + x < 0) & (ends > 0)).any():
             raise RadiosityError("these form factors are too noisy to be repaired: cast more lines")
         changed.data = changed.data * factor
-        return replace(mean, matrix=changed.tocsr(), sky=self.sky * (1 + x), dark=self.dark * (1 + x))
+        return replace(mean, matrix=changed.tocsr(), **self._scaled_ends(1 + x))
 
     def transposed(self) -> FormFactors:
         """Form factors of the opposite direction: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system
@@ -176,6 +188,16 @@ class FormFactors(InNotebooks):
             if weights.any() and (exchange.nnz == 0 or abs(exchange - exchange.T).max() <= 1e-9 * exchange.max()):
                 return weights
         return None
+
+    @property
+    def ends(self) -> dict[str, Array]:
+        """The shares (n,) or (n, p) of what is no patch, by name: ``sky``, ``dark``, and if known ``ground`` and
+        ``sky_patches``."""
+        named = {name: getattr(self, name) for name in ("sky", "dark", "ground", "sky_patches")}
+        return {name: share for name, share in named.items() if share is not None}
+
+    def _scaled_ends(self, scale: Array) -> dict[str, Any]:
+        return {name: (share.T * scale).T for name, share in self.ends.items()}
 
     def _exchange(self) -> scipy.sparse.csr_array:
         return _diagonal(self.areas) @ self.matrix

@@ -73,10 +73,8 @@ def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> For
     errors = matrix.tocoo()
     squares = entries_of(variance, errors.row, errors.col) + np.where(errors.row == errors.col, twice[errors.row], 0.0)
     errors.data = np.sqrt(squares) * inverse(areas)[errors.row]
-    shares = {
-        name: np.bincount(group, factors.areas * getattr(factors, name), count) * inverse(areas)
-        for name in ("sky", "dark")
-    }
+    mean = per_area @ gather @ weigh
+    shares: dict[str, Any] = {name: mean @ share for name, share in factors.ends.items()}
     face = None
     if factors.face is not None:
         face = np.full(count, factors.face.max())

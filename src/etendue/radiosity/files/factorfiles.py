@@ -46,6 +46,8 @@ from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors
 _MOST_TEXT, _ENTRY = 4e9, 10.0
 #: A row sum that is less than this from 1 is accepted by programs that need closed rows.
 _CLOSED = 1e-3
+#: Relative difference of areas, and deviation of row sums from 1, of factors for given patches: of numbers in text.
+_SAME_AREA, _WHOLE_ROW = 1e-4, 1e-3
 
 
 @dataclass(frozen=True)
@@ -71,12 +73,15 @@ class FactorFormat:
 
 
 def _csv(factors: FormFactors, emissivity: Array, path: Path) -> Iterable[str]:
-    more = {"sky": factors.sky} | ({"backs": factors.dark} if factors.dark.any() else {}) | {"area": factors.areas}
+    more = {"sky": factors.sky} | ({} if factors.ground is None else {"ground": factors.ground})
+    more |= ({"backs": factors.dark} if factors.dark.any() else {}) | {"area": factors.areas}
+    if factors.sky_patches is not None:
+        more |= {f"sky:{k}": share for k, share in enumerate(factors.sky_patches.T, 1)}
     return table_lines(factors.matrix, _names(factors), more)
 
 
 def _view3d(factors: FormFactors, emissivity: Array, path: Path) -> Iterable[str]:
-    return view3d_lines(factors.matrix, factors.areas, emissivity, not factors.sky.any())
+    return view3d_lines(factors.matrix, factors.areas, emissivity, not factors.outside.any())
 
 
 def _names(factors: FormFactors) -> list[str]:
@@ -177,11 +182,13 @@ def save_form_factors(
     """Write form factors in the format that the name of ``path`` decides.
 
     ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
-        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity``, if known ``face``, ``label`` and
-        ``name`` of each row, and ``metadata`` (JSON).
+        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity``, if known ``ground``,
+        ``sky_patches``, and ``face``, ``label`` and ``name`` of each row, and ``metadata`` (JSON).
     ``.nc``: netCDF with the content of ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
-        ``area``, ``sky_share``, ``lines``, ``emissivity``, ``face``, ``label``, ``name``.
-    ``.csv``: a table with names of rows and columns, then ``sky`` and ``area``, and ``backs`` if light ends there.
+        ``area``, ``sky_share``, ``ground_share``, ``sky_patch_share``, ``lines``, ``emissivity``, ``face``, ``label``,
+        ``name``.
+    ``.csv``: a table with names of rows and columns, then ``sky``, ``ground`` if it is apart, ``backs`` if light ends
+        there, ``area``, and ``sky:1``, ``sky:2`` and so on, parts of ``sky``, if its patches are known.
     ``.vf``: the text format of View3D 3.2: a heading, areas, the full matrix row by row, emissivities. It does not
         contain the sky; rows of an open scene sum to less than 1. There is no place for numbers and names, but rows of
         empty patches are written, so that the rows are those of the faces.
@@ -200,9 +207,9 @@ def save_form_factors(
     except ValueError:
         raise RadiosityError(f"emissivity is a number or has one for each of {len(factors)} patches") from None
     check_factors(path, factors)
-    off = float(np.abs(factors.row_sums() - factors.sky - 1)[factors.areas > 0].max(initial=0.0))
+    off = float(np.abs(factors.row_sums() - factors.outside - 1)[factors.areas > 0].max(initial=0.0))
     if known.is_closed and off > _CLOSED:
-        is_open = max(factors.sky.max(), factors.dark.max()) > _CLOSED
+        is_open = max(factors.outside.max(), factors.dark.max()) > _CLOSED
         logger.warning(
             "%s takes rows that sum to 1 without the sky, and those of '%s' are off by %.2g: %s",
             *(known.about, path, off),
@@ -237,14 +244,34 @@ def _write_arrays(
             "indptr": matrix.indptr,
             "errors": errors.data,
             "areas": factors.areas,
-            "sky": factors.sky,
-            "dark": factors.dark,
+            **factors.ends,
             "lines": factors.lines,
             "emissivity": emitted,
             **{name: values for name, values in factors.numbers.items() if values is not None},
         },
         metadata,
     )
+
+
+def factors_of_patches(path: str | os.PathLike[str], patches: Patches) -> FormFactors:
+    """:func:`read_form_factors` of ``patches``. Raises :class:`RadiosityError` if there are others, warns of rows that
+    do not sum to 1."""
+    factors = read_form_factors(path)
+    if len(factors) != len(patches):
+        raise RadiosityError(
+            f"'{path}' has {len(factors)} rows, and there are {len(patches)} patches: read the mesh as for the "
+            "form factors (max_area, ids, two_sided)"
+        )
+    other = np.flatnonzero(np.abs(factors.areas - patches.areas) > _SAME_AREA * patches.areas)
+    if len(other):
+        raise RadiosityError(
+            f"'{path}' is of other patches: row {other[0]} has the area {factors.areas[other[0]]:.6g}, and patch "
+            f"{other[0]} has {patches.areas[other[0]]:.6g}"
+        )
+    off = np.abs(factors.row_sums() + factors.dark - 1)[patches.areas > 0].max(initial=0.0)
+    if off > _WHOLE_ROW:
+        logger.warning("row sums of '%s' are off by up to %.2g, and the power of the solution with them", path, off)
+    return factors
 
 
 def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
@@ -262,9 +289,8 @@ def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
         with np.load(path, allow_pickle=False) as saved:
             structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
             matrix, errors = (sparse().csr_array((saved[name], *structure), shape=shape) for name in ("data", "errors"))
-            numbers = {name: saved[name] for name in NUMBERS if name in saved}
-            dark = saved["dark"] if "dark" in saved else np.zeros(len(matrix.indptr) - 1)
-            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"], dark, **numbers)
+            more = {name: saved[name] for name in (*NUMBERS, "dark", "ground", "sky_patches") if name in saved}
+            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"], **more)
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of form factors '{path}'") from None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:

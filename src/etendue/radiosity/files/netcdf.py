@@ -37,7 +37,15 @@ def write_form_factors(
     file.add("form_factor", "entry", matrix.data, "share of the light of a patch that reaches another one", _SHARE)
     file.add("form_factor_error", "entry", errors.data, "standard error of the form factor", _SHARE)
     file.add("area", "patch", factors.areas, "area of the patch", _AREA)
-    file.add("sky_share", "patch", factors.sky, "share of the light of a patch that leaves the scene", _SHARE)
+    leaves = "share of the light of a patch that leaves the scene"
+    if factors.ground is None:
+        file.add("sky_share", "patch", factors.sky, leaves, _SHARE)
+    else:
+        file.add("sky_share", "patch", factors.sky, f"{leaves} upward", _SHARE)
+        file.add("ground_share", "patch", factors.ground, f"{leaves} downward", _SHARE)
+    if factors.sky_patches is not None:
+        about = f"{leaves} to each patch of the sky, from the horizon up (Tregenza, Reinhart)"
+        file.add("sky_patch_share", "patch sky_patch", factors.sky_patches, about, _SHARE)
     file.add("dark_share", "patch", factors.dark, "share of the light of a patch that ends on backs of faces", _SHARE)
     file.add("lines", "patch", factors.lines, "lines that met the patch", _SHARE)
     file.add("emissivity", "patch", emissivity, "emissivity of the patch", _SHARE)
@@ -59,7 +67,8 @@ def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     if numbers:
         numbers["name"] = _texts(saved["name"]) if "name" in saved else np.full(n, "")
     dark, lines = saved.get("dark_share", np.zeros(n)), saved["lines"].astype(np.int64)
-    return FormFactors(matrix, errors, saved["sky_share"], saved["area"], lines, dark, **numbers)
+    parts = {name: saved.get(known) for name, known in (("ground", "ground_share"), ("sky_patches", "sky_patch_share"))}
+    return FormFactors(matrix, errors, saved["sky_share"], saved["area"], lines, dark, **numbers, **parts)
 
 
 def save_segments(

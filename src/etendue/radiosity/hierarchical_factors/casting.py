@@ -14,7 +14,7 @@ from etendue.core import CheckpointError, Measurement, Settings as AnySettings, 
 from etendue.points import PointSet
 from etendue.surfaces import Objects, Patches
 
-from ..casting import CastingSettings, LineCasting
+from ..casting import SEGMENTS, CastingSettings, LineCasting
 from ..errors import RadiosityError
 from ..lines.abuffer import wanted_lines
 from ..lines.engine import LineEngine, warn_of_faults
@@ -29,8 +29,6 @@ from .tree import sphere_tree
 
 #: Smallest number of lines of a bundle by rays, in total and per sphere.
 _LINES, _LINES_PER_SPHERE = 4096, 32
-#: Name of the record of segments in a measurement.
-_SEGMENTS = "segments"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +135,7 @@ class HierarchicalCasting(LineCasting):
     def _lines(self, measurement: Measurement) -> PartialSegments:  # type: ignore[override]
         engine = cast(TreeRays, self.engine)
         return PartialSegments(
-            self.tree, list(measurement.records[_SEGMENTS]), engine.densities(self.bundles(measurement))
+            self.tree, list(measurement.records[SEGMENTS]), engine.densities(self.bundles(measurement))
         )
 
 

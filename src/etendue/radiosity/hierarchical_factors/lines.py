@@ -130,7 +130,7 @@ class TreeBundles(TreeLines):
                 grids.append((generator.frames(u), np.ascontiguousarray(u[:, 2:]), *self._disc(node)))
 
             def run() -> Pairs:
-                made = [rasterise(*scene, *grid, len(self.patches), 4096, self._buffer.solid) for grid in grids]
+                made = [rasterise(*scene, *grid, len(self.patches), 4096, self._buffer.solid)[0] for grid in grids]
                 node = np.repeat(np.arange(len(made)), [len(pairs) for pairs in made])
                 return marked(np.concatenate(made), node, self.tree)
 

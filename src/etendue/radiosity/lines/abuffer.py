@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
+from itertools import starmap, tee
 from typing import Literal, get_args
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..errors import RadiosityError
 from .engine import LineEngine
 from .generators import Bundles
 from .rasteriser import Rasteriser
-from .segments import Pairs
+from .segments import Directed, Pairs
 from .spiral import SpiralPoints
 
 #: The rasteriser: loops for the CPU, or kernels of the current variant; ``auto`` takes the kernels under CUDA.
@@ -117,25 +118,44 @@ class ABuffer(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        points, pieces = self._points_of(count), self._pieces(count, first, size)
+        grids = self._grids(count, first, size)
         if self.backend == "drjit":
-            return (self._rasteriser.segments(*self._grids(points, *piece)) for piece in pieces)
+            return (self._rasteriser.segments(*grid) for grid in grids)
+        return (pairs for pairs, _ in self._rasterised(grids))
+
+    def directed(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Directed]:
+        """See :class:`LineEngine`."""
+        return self.along(self._grids(count, first, size))
+
+    def along(self, grids: Iterable[tuple[Array, Array]]) -> Iterator[Directed]:
+        """The segments of bundles, given by their frames (b, 3, 3), as of :meth:`Bundles.frames_along`, and the shifts
+        of their grids (b, 2) in units of the spacing; one item for each of ``grids``."""
+        kept, used = tee(grids)
+        on_device = self.backend == "drjit"
+        made = starmap(self._rasteriser.counted, used) if on_device else self._rasterised(used)
+        for (frames, _), (pairs, counts) in zip(kept, made, strict=True):
+            yield Directed(pairs, np.column_stack([frames[:, 2], counts]))
+
+    def _rasterised(self, grids: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Pairs, NDArray[np.int64]]]:
         rasterise = compiled("lines.scanlines").rasterise
         # Hits of a bundle vary with its direction.
         room = int(1.2 * self.expected(1).sum()) + 1024
 
-        def task(start: int, number: int) -> Callable[[], Pairs]:
-            arrays = *self.arrays, *self._grids(points, start, number)
+        def task(grid: tuple[Array, Array]) -> Callable[[], tuple[Pairs, NDArray[np.int64]]]:
+            arrays = *self.arrays, *grid
             return lambda: rasterise(*arrays, self._spacing, np.zeros(3), np.inf, len(self.patches), room, self.solid)
 
-        return in_order(task(*piece) for piece in pieces)
+        return in_order(task(grid) for grid in grids)
 
     def _points_of(self, count: int) -> PointSet:
         return SpiralPoints(directions=count) if self.points is self._default else self.points
 
-    def _grids(self, points: PointSet, start: int, number: int) -> tuple[Array, Array]:
-        u = points.block(number, start)
-        return self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
+    def _grids(self, count: int, first: int, size: int | None) -> Iterator[tuple[Array, Array]]:
+        """Frames and shifts of the bundles of each piece."""
+        points = self._points_of(count)
+        for start, number in self._pieces(count, first, size):
+            u = points.block(number, start)
+            yield self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
 
     @cached_property
     def _rasteriser(self) -> Rasteriser:

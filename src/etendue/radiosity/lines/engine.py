@@ -15,7 +15,7 @@ from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from .generators import Bundles
-from .segments import Pairs, Segments
+from .segments import Directed, Pairs, Segments
 from .spiral import ShuffledPoints
 
 #: Share of segments to backs of faces above which a warning is given.
@@ -66,6 +66,10 @@ class LineEngine(ABC):
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """The segments of ``count`` points from ``first`` on, without storing them: (k, 2) arrays in the order of the
         points, one for each :meth:`piece`, or for each ``size`` points."""
+
+    def directed(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Directed]:
+        """:meth:`stream` with the directions of the lines. Raises :class:`RadiosityError` if they are not kept."""
+        raise RadiosityError(f"{type(self).__name__} keeps no directions of its lines: take ABuffer or LocalRays")
 
     @abstractmethod
     def expected(self, count: int) -> Array:

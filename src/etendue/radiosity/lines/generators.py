@@ -188,7 +188,10 @@ class Bundles(LineGenerator):
 
     def frames(self, u: Array) -> Array:
         """(n, 3, 3) frames; the rows are two axes of the grid, and the direction."""
-        way = direction(u)
+        return self.frames_along(direction(u))
+
+    def frames_along(self, way: Array) -> Array:
+        """The frames of given directions (n, 3)."""
         a, b = across(way)
         cosine, sine = np.cos(_TURN), np.sin(_TURN)
         return np.stack([cosine * a + sine * b, cosine * b - sine * a, way], axis=1)

@@ -33,6 +33,7 @@ class Lists:
     key: mi.UInt64
     first: mi.UInt32  #: a lane for each line that has hits
     count: mi.UInt32
+    starts: mi.UInt32  #: a lane for each line: the place of its first hit, or of the next one that there is
 
 
 def by_depth(hits: LineHits, lines: int) -> Lists:
@@ -57,7 +58,7 @@ def by_depth(hits: LineHits, lines: int) -> Lists:
     first = dr.prefix_reduce(dr.ReduceOp.Add, count + dr.select(count > 0, mi.UInt32(1), 0), exclusive=True)
     met = dr.compress(count > 0)
     room = dr.empty(mi.UInt64, len(hits.key) + len(met))
-    lists = Lists(room, dr.gather(mi.UInt32, first, met), dr.gather(mi.UInt32, count, met))
+    lists = Lists(room, dr.gather(mi.UInt32, first, met), dr.gather(mi.UInt32, count, met), first)
     _sort_few(planes, dr.gather(mi.Vector2u, halves, met), met, lists)
     if len(others.key):
         place = dr.gather(mi.UInt32, first, others.half >> 1) + rank
@@ -121,8 +122,9 @@ def _sort_many(lists: Lists, chosen: mi.Bool) -> None:
 
 def exchanges(
     lists: Lists, sides: mi.UInt32, coincident: mi.UInt32, sky: mi.UInt32, gaps: list[mi.UInt32], solid: mi.Bool
-) -> mi.UInt64:
-    """Segments of all lines as numbers of 64 bits, the near patch in the lower half.
+) -> tuple[mi.UInt64, mi.UInt32]:
+    """Segments of all lines as numbers of 64 bits, the near patch in the lower half, and their places in the lists,
+    which ascend.
 
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
     of a face; ``coincident``: for each face 1 if it lies back to back on others, 2 if it is also part of no solid. Two
@@ -164,7 +166,8 @@ def exchanges(
     *_, before, _ = dr.while_loop(state, lambda i, *_: i < count, hit, label="line lists: exchanges")
     write(count, before, sky)
     dr.eval(found)
-    return dr.gather(mi.UInt64, found, dr.compress(found != _NOTHING))
+    places = dr.compress(found != _NOTHING)
+    return dr.gather(mi.UInt64, found, places), places
 
 
 class _Lines:

@@ -14,7 +14,7 @@ from etendue.points import PointSet
 from etendue.surfaces import BATCH, RayScene, RaySource, Sides, columns, cosine_lanes, pairs_of
 
 from .engine import LineEngine
-from .segments import Pairs
+from .segments import Directed, Pairs
 
 
 class LocalRays(LineEngine):
@@ -41,14 +41,27 @@ class LocalRays(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
+        return (made.pairs for made in self._cast(count, first, size, directed=False))
+
+    def directed(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Directed]:
+        """See :class:`LineEngine`."""
+        return self._cast(count, first, size, directed=True)
+
+    def _cast(self, count: int, first: int, size: int | None, directed: bool) -> Iterator[Directed]:
         for start, number in self._pieces(count, first, size):
             u = self.points.lanes(mi.UInt32, number * self.bundle, start * self.bundle)
             places = self._source.any(u[0], u[1])
-            found = self.scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
+            directions = places.directions(cosine_lanes(u[2], u[3]))
+            found = self.scene.meets(places.origin, directions)
             pairs = pairs_of(self._source.patch_of(places.side), found)
             # A patch receives as many rays from another patch as it sends there, but none from the sky or from backs of
             # faces: segments to these count twice.
-            yield np.concatenate([pairs, pairs[pairs[:, 1] >= len(self.patches)]])
+            twice = pairs[:, 1] >= len(self.patches)
+            ways = np.empty((0, 4))
+            if directed:
+                ways = np.column_stack([np.array(directions).T, np.ones(len(pairs))])
+                ways = np.concatenate([ways, ways[twice]])
+            yield Directed(np.concatenate([pairs, pairs[twice]]), ways)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -34,14 +34,24 @@ class MixedSegments(Segments):
     extra: (n,) local rays per expected line, zero for most patches.
     rays: number of local rays of all batches.
     counted, to_sky, to_dark: (n,) weighted, so not whole numbers.
+    sky_rays: for each batch the patches (k,) of the rays that lead to the sky, and their directions (k, 3), if those of
+        the lines are known.
     corrections: for each batch, the change of the counts of pairs by rays and by the weights of lines: an (n + 2, n +
         2) CSR array.
     """
 
     extra: Array
 
-    def __init__(self, lines: Segments, corrections: Sequence[Any], extra: Array, rays: int) -> None:
+    def __init__(
+        self,
+        lines: Segments,
+        corrections: Sequence[Any],
+        extra: Array,
+        rays: int,
+        sky_rays: Sequence[tuple[NDArray[np.uint32], Array]],
+    ) -> None:
         self.__dict__.update(lines.__dict__)
+        self.sky_rays = list(sky_rays)
         self.extra, self.rays, self.corrections = extra, rays, list(corrections)
         self.correction = sum(self.corrections[1:], start=self.corrections[0])
         n = len(lines.patches)
@@ -51,12 +61,23 @@ class MixedSegments(Segments):
 
     def batch(self, number: int) -> Segments:
         """One batch."""
-        return MixedSegments(super().batch(number), [self.corrections[number]], self.extra, self.rays)
+        return MixedSegments(
+            super().batch(number), [self.corrections[number]], self.extra, self.rays, [self.sky_rays[number]]
+        )
 
     def without(self, number: int) -> Segments:
         """All batches but one."""
-        others = [correction for k, correction in enumerate(self.corrections) if k != number]
-        return MixedSegments(super().without(number), others, self.extra, self.rays)
+        others, rays = (
+            [item for k, item in enumerate(items) if k != number] for items in (self.corrections, self.sky_rays)
+        )
+        return MixedSegments(super().without(number), others, self.extra, self.rays, rays)
+
+    def sky_counts(self, number_of: Callable[[Array], NDArray[np.int64]], shares: Array) -> Array:
+        """See :class:`Segments`; weighted."""
+        counts = super().sky_counts(number_of, shares)
+        for patch, ways in self.sky_rays:
+            np.add.at(counts, (patch, number_of(ways)), 1.0)
+        return counts / (1 + self.extra)[:, None]
 
     def _gather(self, full: Array) -> Array:
         return super()._gather(full) + (self.correction @ full)[: len(self.patches)]
@@ -89,18 +110,26 @@ def with_local_rays(
     batches = max(segments.batch_count, 1)
     from_lines: list[list[Pairs]] = [[] for _ in range(batches)]
     from_rays: list[list[Pairs]] = [[] for _ in range(batches)]
+    ways: list[list[Array]] = [[] for _ in range(batches)]
+    directed = segments.ways is not None
     is_few, none = extra > 0, np.empty((0, 2), np.uint32)  # a batch may have no lines
     for chunk, batch in zip(segments.chunks, segments.batches, strict=True):
         from_lines[batch].append(chunk[is_few[chunk[:, 0]] | is_few[chunk[:, 1]]])
-    for pairs, number in _rays(scene or RayScene(segments.patches), few, rays, points or OwenSobol(4, seed=1)):
+    scene = scene or RayScene(segments.patches)
+    for pairs, number, directions in _rays(scene, few, rays, points or OwenSobol(4, seed=1), directed):
         for batch in range(batches):
-            from_rays[batch].append(pairs[number * batches // rays == batch])
+            ours = number * batches // rays == batch
+            from_rays[batch].append(pairs[ours])
+            ways[batch].append(directions[ours & (pairs[:, 1] == len(segments.patches))] if directed else directions)
     logger.info("%d local rays from each of %d patches that few lines meet", rays, len(few))
     corrections = [
         _weighted(np.concatenate(new), extra) + _weighted(np.concatenate([none, *met]), extra, less=1.0)
         for new, met in zip(from_rays, from_lines, strict=True)
     ]
-    return MixedSegments(segments, corrections, extra[:-2], rays * len(few))
+    to_sky = (pairs[pairs[:, 1] == len(segments.patches), 0] for pairs in map(np.concatenate, from_rays))
+    nowhere = (np.empty(0, np.uint32), np.empty((0, 3)))
+    sky_rays = list(zip(to_sky, map(np.concatenate, ways), strict=True)) if directed else [nowhere] * batches
+    return MixedSegments(segments, corrections, extra[:-2], rays * len(few), sky_rays)
 
 
 def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, NDArray[np.int64]]:
@@ -120,13 +149,17 @@ def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
     return sparse().coo_array(both, shape=(len(extra), len(extra))).tocsr()
 
 
-def _rays(scene: RayScene, patches: NDArray[np.int64], rays: int, points: PointSet) -> Iterator[tuple[Pairs, Any]]:
-    """Segments (k, 2) of ``rays`` rays from each patch, and the index of each ray within its patch."""
+def _rays(
+    scene: RayScene, patches: NDArray[np.int64], rays: int, points: PointSet, directed: bool
+) -> Iterator[tuple[Pairs, NDArray[np.int64], Array]]:
+    """Segments (k, 2) of ``rays`` rays from each patch, the index of each ray within its patch, and its direction if
+    ``directed``."""
     source = RaySource(scene, Sides.of(scene.patches))
     at_once = max(BATCH // rays, 1)
     for start in range(0, len(patches), at_once):
         patch = mi.UInt32(np.repeat(patches[start : start + at_once], rays).astype(np.uint32))
         u = points.lanes(mi.UInt32, len(patch), start * rays)
         places = source.of(patch, u[0], u[1])
-        found = scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
-        yield pairs_of(patch, found), np.arange(len(patch)) % rays
+        directions = places.directions(cosine_lanes(u[2], u[3]))
+        pairs = pairs_of(patch, scene.meets(places.origin, directions))
+        yield pairs, np.arange(len(patch)) % rays, np.array(directions).T if directed else np.empty((0, 3))

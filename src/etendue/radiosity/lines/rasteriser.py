@@ -74,21 +74,33 @@ class Rasteriser:
         self._solid = dr.opaque(mi.Bool, solid)
 
     def segments(self, frames: Array, shifts: Array) -> Pairs:
-        """Segments (k, 2) of the lines of bundles, line by line, from the near end of each line on.
+        """Segments (k, 2) of the lines of bundles, line by line, from the near end of each line on; see
+        :meth:`counted`."""
+        return self._exchanged(frames, shifts)[0]
+
+    def counted(self, frames: Array, shifts: Array) -> tuple[Pairs, NDArray[np.int64]]:
+        """Segments, and the number (b,) of those of each bundle.
 
         frames: (b, 3, 3) as of :meth:`Bundles.frames`; shifts: (b, 2) of their grids, in units of the spacing.
         """
+        pairs, places, starts = self._exchanged(frames, shifts)
+        begin = np.searchsorted(np.array(places), starts)
+        return pairs, np.diff(np.append(begin, len(pairs)))
+
+    def _exchanged(self, frames: Array, shifts: Array) -> tuple[Pairs, mi.UInt32, NDArray[np.uint32]]:
+        """Segments, their places in the lists of hits, and the place where each bundle begins."""
         grid = _Grid(self, frames, shifts)
         counts = grid.count()
         ends = dr.prefix_reduce(dr.ReduceOp.Add, counts, exclusive=False)
         dr.eval(counts, ends)
         number = int(ends[-1])
         if number == 0:
-            return np.empty((0, 2), np.uint32)
+            return np.empty((0, 2), np.uint32), mi.UInt32(), np.zeros(len(frames), np.uint32)
         hits = grid.fill(ends - counts, number)
         lists = by_depth(hits, grid.pixels)
-        pairs = exchanges(lists, self._sides, self._coincident, self._sky, self._gaps, self._solid)
-        return np.array(pairs).view(np.uint32).reshape(-1, 2)
+        pairs, places = exchanges(lists, self._sides, self._coincident, self._sky, self._gaps, self._solid)
+        starts = dr.gather(mi.UInt32, lists.starts, mi.UInt32(grid.begin[:-1].astype(np.uint32)))
+        return np.array(pairs).view(np.uint32).reshape(-1, 2), places, np.array(starts)
 
 
 class _Grid:
@@ -103,7 +115,8 @@ class _Grid:
         # One more line on each side than the box needs, so that rounding does not leave the image.
         first = np.floor(centre - reach).astype(np.int64) - 1
         columns, rows = (np.ceil(centre + reach).astype(np.int64) + 2 - first).T
-        begin = np.concatenate([[0], np.cumsum(columns * rows)])
+        #: The first line of each bundle, and the number of all lines.
+        self.begin = begin = np.concatenate([[0], np.cumsum(columns * rows)])
         self.pixels, self._bundles = int(begin[-1]), len(frames)
         # Index of the pixel in row 0 and column 0, modulo 2**32.
         origin = begin[:-1] - first[:, 1] * columns - first[:, 0]

@@ -51,8 +51,9 @@ def rasterise(
     patches: int,
     room: int,
     solid: bool,
-) -> Pairs:
-    """Segments (k, 2) of the lines of some bundles, line by line, from the near end of each line on.
+) -> tuple[Pairs, NDArray[np.int64]]:
+    """Segments (k, 2) of the lines of some bundles, line by line, from the near end of each line on, and the number of
+    segments (b,) of each bundle.
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of each face
     seen from the front, then seen from the back, ``patches + 1`` for none; coincident (f,), 1 for faces that lie back
@@ -71,7 +72,9 @@ def rasterise(
     hits, nexts = np.empty(room, np.uint64), np.empty(room, np.int32)
     order = np.empty(64, np.uint64)
     pairs, made = np.empty((room * (len(frames) + 3) * 3 // 5, 2), np.uint32), 0
+    last = np.zeros(len(frames) + 1, np.int64)
     for b in range(len(frames)):
+        last[b + 1] = made
         low_x, high_x, low_y, high_y = _project(vertices, frames[b], shifts[b], spacing, place)
         if reach < np.inf:
             x, y = -shifts[b, 0], -shifts[b, 1]
@@ -104,7 +107,8 @@ def rasterise(
             if line == columns * rows:
                 break
             order = np.empty(2 * len(order), np.uint64)
-    return pairs[:made]
+        last[b + 1] = made
+    return pairs[:made], np.diff(last)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

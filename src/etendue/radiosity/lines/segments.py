@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Literal
 
@@ -21,6 +22,19 @@ Pairs = NDArray[np.uint32]
 Normalisation = Literal["counted", "expected"]
 
 
+@dataclass(frozen=True)
+class Directed:
+    """Segments with the directions of their lines.
+
+    ``pairs``: (k, 2). ``ways``: (b, 4) a direction for each run of consecutive segments, a bundle or a ray, and the
+    number of segments of the run. Lines go from the first patch of a pair to the second, so that a pair (sky, i) is a
+    line from i to the sky in the opposite direction.
+    """
+
+    pairs: Pairs
+    ways: Array
+
+
 class Segments:
     """Pieces of lines between two patches that face each other, 8 bytes each, in the order of the lines.
 
@@ -36,6 +50,8 @@ class Segments:
     patches: the patches that the lines were cast through; only their number and areas are used.
     chunks: arrays (k, 2), one after the other.
     batches: (chunks,) the batch of each chunk, from 0 on.
+    ways: for each chunk the directions of its lines, see :class:`Directed`; ``None`` if they are not known.
+    are_even: whether these directions are evenly spread, as those of bundles are, and not by the cosine law.
     expected: (n,) expected number of lines through each patch, if it is flat.
     """
 
@@ -43,12 +59,22 @@ class Segments:
     correction: Any = None
     extra: Array | None = None
 
-    def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
+    def __init__(
+        self,
+        patches: Patches,
+        chunks: Sequence[Pairs],
+        batches: ArrayLike,
+        expected: Array,
+        ways: Sequence[Array] | None = None,
+        are_even: bool = True,
+    ) -> None:
         self.patches = patches
         # All chunks are read-only, as chunks in files are: loops would be compiled again for writable arrays.
         self.chunks = [_read_only(chunk) for chunk in chunks]
         self.batches = np.asarray(batches, dtype=np.int64)
         self.expected = expected
+        self.ways = None if ways is None else list(ways)
+        self.are_even = are_even
         ends = self._ends()[: len(patches)]
         #: (n,) segments of each patch: the lines through it.
         self.counted: NDArray[np.int64] | Array = ends[:, 0].copy()
@@ -73,7 +99,9 @@ class Segments:
         if len(self.patches) != len(other.patches) or not np.array_equal(self.patches.areas, other.patches.areas):
             raise RadiosityError("segments of different patches cannot be added")
         batches = np.concatenate([self.batches, other.batches + self.batch_count])
-        return Segments(self.patches, self.chunks + other.chunks, batches, self.expected + other.expected)
+        ways = None if self.ways is None or other.ways is None else self.ways + other.ways
+        expected, are_even = self.expected + other.expected, self.are_even and other.are_even
+        return Segments(self.patches, self.chunks + other.chunks, batches, expected, ways, are_even)
 
     @property
     def batch_count(self) -> int:
@@ -94,6 +122,11 @@ class Segments:
     def sky(self) -> Array:
         """(n,) the share of the segments of each patch that lead to the sky."""
         return _divide(self.to_sky[:, None], self.exchange_weights)[:, 0]
+
+    @property
+    def outside(self) -> Array:
+        """(n,) the same; see :class:`Transport`."""
+        return self.sky
 
     @property
     def dark(self) -> Array:
@@ -131,17 +164,44 @@ class Segments:
         """Numerator (n, c) and denominator (n,) of :meth:`gather` (counted), which can be summed over segments."""
         return self._gather(self._with_sky(values, sky)[0]), self.exchange_weights
 
+    def sky_counts(self, number_of: Callable[[Array], NDArray[np.int64]], shares: Array) -> Array:
+        """(n, parts) segments of each patch that lead to the sky, by the part of the sky.
+
+        number_of: the part of each direction (k, 3) from a patch. shares: (parts,) of the solid angle of all
+        directions. A part that has got more bundles than its share gets less weight, in proportion, which removes most
+        of the error of a part: its number of bundles. Raises :class:`RadiosityError` if directions are not known.
+        """
+        met, counts = self.directions_met(number_of, len(shares)), np.zeros((len(self.patches), len(shares)))
+        for chunk, ways in zip(self.chunks, self.ways or (), strict=True):
+            near, far = (number_of(sign * ways[:, :3]) for sign in (-1, 1))
+            compiled().count_parts(chunk, np.cumsum(ways[:, 3]).astype(np.int64), near, far, counts)
+        if not self.are_even:
+            return counts
+        return counts * np.divide(shares * met.sum(), met, out=np.zeros(len(met)), where=met > 0)
+
+    def directions_met(self, number_of: Callable[[Array], NDArray[np.int64]], parts: int) -> NDArray[np.int64]:
+        """(parts,) directions of bundles, or rays, in each part of the sky; see :meth:`sky_counts`."""
+        if self.ways is None:
+            raise RadiosityError("these segments do not know their directions: cast them with directed=True")
+        numbers = [number_of(sign * ways[:, :3]) for ways in self.ways for sign in (-1, 1)]
+        return np.bincount(np.concatenate(numbers), minlength=parts)
+
     def batch(self, number: int) -> Segments:
         """One batch."""
-        chosen = [chunk for chunk, of in zip(self.chunks, self.batches, strict=True) if of == number]
-        return Segments(self.patches, chosen, np.zeros(len(chosen)), self.expected / self.batch_count)
+        kept = self.batches == number
+        return self._some(kept, np.zeros(np.count_nonzero(kept)), self.expected / self.batch_count)
 
     def without(self, number: int) -> Segments:
         """All batches but one."""
-        left = self.batches != number
-        chosen = [chunk for chunk, kept in zip(self.chunks, left, strict=True) if kept]
-        batches = self.batches[left] - (self.batches[left] > number)
-        return Segments(self.patches, chosen, batches, self.expected * (1 - 1 / self.batch_count))
+        kept = self.batches != number
+        batches = self.batches[kept] - (self.batches[kept] > number)
+        return self._some(kept, batches, self.expected * (1 - 1 / self.batch_count))
+
+    def _some(self, kept: NDArray[np.bool_], batches: ArrayLike, expected: Array) -> Segments:
+        """Those of the chunks that are ``kept``."""
+        chosen = np.flatnonzero(kept)
+        ways = None if self.ways is None else [self.ways[k] for k in chosen]
+        return Segments(self.patches, [self.chunks[k] for k in chosen], batches, expected, ways, self.are_even)
 
     def _weights(self, normalisation: Normalisation) -> Array:
         if normalisation not in ("counted", "expected"):

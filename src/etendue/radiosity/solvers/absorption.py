@@ -24,7 +24,7 @@ class Ends(Protocol):
     """A transport operator, see :class:`Transport`."""
 
     @property
-    def sky(self) -> Array:
+    def outside(self) -> Array:
         """(n,) the share of the light of each patch that leaves the scene."""
         ...
 
@@ -59,7 +59,7 @@ def absorbed(patches: Patches, transport: Ends) -> Patches:
     if ends.all():
         return patches
     ends = _seen_from(ends, transport)
-    out, areas = (transport.sky + transport.dark)[:, None], patches.areas[:, None] * ~ends
+    out, areas = (transport.outside + transport.dark)[:, None], patches.areas[:, None] * ~ends
     # In single precision, a ray in a million passes between two faces.
     is_open = (areas * out).sum(axis=0) > _LEAK * areas.sum(axis=0)
     ends = _seen_from(ends | (is_open & (out > 0)), transport)

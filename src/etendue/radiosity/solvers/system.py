@@ -144,8 +144,8 @@ def solve(
     transport, if a shot belongs to other patches, or if the solver has not converged after ``max_iterations`` and there
     is no ``ambient`` term.
     """
-    if len(transport.sky) != len(patches):
-        raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
+    if len(transport.outside) != len(patches):
+        raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.outside)}")
     if not (patches.emission.any() or patches.sky.any() or (shot is not None and shot.irradiance.any())):
         raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if solver not in SOLVERS:
@@ -165,11 +165,11 @@ def solve(
         is_last = ambient is not None and len(residuals) == max_iterations
         if residuals[-1] <= tolerance or is_last:
             if ambient is not None:
-                spread_out = spread(patches, patches.areas[:, None] * left, ambient, transport.sky)
+                spread_out = spread(patches, patches.areas[:, None] * left, ambient, transport.outside)
                 radiosity, irradiance = radiosity + left + rest.reflectance * spread_out, irradiance + spread_out
             if shot is not None:
                 radiosity, irradiance = radiosity + shot.emission, irradiance + shot.irradiance
-            return Solution(patches, radiosity, irradiance, transport.sky, tuple(residuals), shot)
+            return Solution(patches, radiosity, irradiance, transport.outside, tuple(residuals), shot)
     raise RadiosityError(
         f"{solver} has a residual of {residuals[-1]:.2g} after {max_iterations} iterations, not {tolerance:g}: allow "
         "more, or take conjugate-gradient where reflectance is high"
@@ -219,7 +219,7 @@ class _Steps(ABC):
     @property
     def known(self) -> Array:
         """Emission, and reflected light of the sky."""
-        return self.emission + self.reflectance * self.transport.sky[:, None] * self.patches.sky
+        return self.emission + self.reflectance * self.transport.outside[:, None] * self.patches.sky
 
 
 class _Gathering(_Steps):

@@ -1,4 +1,4 @@
-"""Environment maps that are lit at a pole only, and the construction of a parsed scene that sees to them.
+"""Environment maps that are lit at a pole only, and the construction of a parsed scene that sees to them, and to skies.
 
 Mitsuba samples an environment map by its values times the sine of the polar angle, both interpolated between texels. In
 the first and in the last row the sine is zero: beside dark texels, their light has no density, or hardly any. Rows
@@ -24,16 +24,20 @@ _GOOD, _POSSIBLE = 4.0, 1e4
 
 
 def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> mi.Scene:
-    """The scene of a parsed description. Environment maps that Mitsuba would not sample well get more rows, except
-    those that are objects of the caller."""
+    """The scene of a parsed description. Environment maps that Mitsuba would not sample well get more rows, and the
+    emitters ``sky`` the sphere around the scene, except those that are objects of the caller."""
     import mitsuba as mi
 
     given = [value for value in read_properties(state.root.props).values() if isinstance(value, mi.Emitter)]
     with threads_for_files():
         scene = mi.parser.instantiate(config, state)
     for emitter in scene.emitters():
-        if plugin_name(emitter) == "envmap" and emitter not in given and _steepness(emitter) > _GOOD:
+        if emitter in given:
+            continue
+        if plugin_name(emitter) == "envmap" and _steepness(emitter) > _GOOD:
             _double(emitter)
+        if plugin_name(emitter) == "sky":
+            emitter.surround(scene.bbox())
     return scene
 
 

@@ -1,12 +1,14 @@
 r"""Emitter ``luminaire``: a point that shines as a photometric file says, IES LM-63 or EULUMDAT.
 
-    I(w) = dimming flux / 683 lm/W  p(w) color        p: intensity of the file over its flux, per solid angle
+    I(w) = dimming tilt flux / 683 lm/W  p(w) color   p: intensity of the file over its flux, per solid angle
 
 in watts per steradian, so that white light has the file's candelas over :data:`~etendue.lighting.EFFICACY`.
 
 Parameters: ``filename``; ``to_world``, position and rotation: the file's nadir is -z, its plane C = 0 is +x and C = 90
 is +y; ``flux``, in lm, by default that of the file, the integral of its intensity; ``dimming`` (1), a factor of at
 least 0; ``color`` (white, D65), a constant colour or spectrum, divided by its luminance; ``sampling_weight``.
+``lamp_set``: of an EULUMDAT file with several, 0 for all together. ``up``: the vertical of the scene, for files with
+tilt factors, of which ``tilt`` is the one for the luminaire's position.
 
 Rays have the density p exactly, so that all carry the same power.
 """
@@ -16,9 +18,10 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import OptionError
-from etendue.lighting import EFFICACY, read_photometry
+from etendue.lighting import EFFICACY, Tilt, read_photometry
 
 from ..packet import is_rgb, is_spectral
 from .parameters import block, check_range, make_opaque, number
@@ -38,7 +41,9 @@ def make_luminaire() -> type:
             if not isinstance(name, str) or not name:
                 raise OptionError("'luminaire' needs a 'filename', a photometric file (.ies or .ldt)")
             #: The web of the file, on the host.
-            self.photometry = read_photometry(str(mi.file_resolver().resolve(name)))
+            lamps = props.get("lamp_set", None)
+            self.photometry = read_photometry(str(mi.file_resolver().resolve(name)), lamps)
+            self.up = _up(props, self.photometry.tilt, name)
             self.table = WebTable(self.photometry)
             self.to_world = mi.Transform4f(super().world_transform())
             self.flux = number(props, "flux", self.photometry.flux)
@@ -57,11 +62,19 @@ def make_luminaire() -> type:
             if not 0.0 < luminance < np.inf:
                 raise OptionError(f"'luminaire': 'color' has a luminance of {luminance:g}; dim it by 'dimming'")
             self._per_lumen = mi.Float(1.0 / (EFFICACY * luminance))
-            make_opaque(self.flux, self.dimming, self._per_lumen, self.to_world)
+            self._tilt = mi.Float(self._tilt_factor())
+            make_opaque(self.flux, self.dimming, self._per_lumen, self._tilt, self.to_world)
 
         def _power(self) -> mi.Float:
             """Radiant flux for each unit of ``color``."""
-            return self.flux * self.dimming * self._per_lumen
+            return self.flux * self.dimming * self._tilt * self._per_lumen
+
+        def _tilt_factor(self) -> float:
+            """The factor for how the luminaire is tilted."""
+            if self.up is None or self.photometry.tilt is None:
+                return 1.0
+            turn = np.asarray(self.to_world.matrix, np.float64).reshape(4, 4)[:3, :3]
+            return self.photometry.tilt.factor(self.up @ turn)
 
         def ray_pdf(self, d: mi.Vector3f, active: mi.Bool | bool = True) -> mi.Float:
             """Density per solid angle with which :meth:`sample_ray` samples the direction ``d`` of the world."""
@@ -138,10 +151,12 @@ def make_luminaire() -> type:
             callback.put("dimming", self.dimming, mi.ParamFlags.Differentiable)
             callback.put("color", self.color, mi.ParamFlags.Differentiable)
             callback.put("web", self._web, mi.ParamFlags.NonDifferentiable)
+            if self.up is not None:
+                callback.put("tilt", self._tilt, mi.ParamFlags.NonDifferentiable)
 
         def parameters_changed(self, keys: list[str]) -> None:
-            if "web" in keys:
-                raise OptionError("the web of a 'luminaire' is that of its file; load another one")
+            if "web" in keys or "tilt" in keys:
+                raise OptionError("web and tilt factor of a 'luminaire' are those of its file; load another one")
             self._check()
             super().parameters_changed(keys)
 
@@ -156,6 +171,22 @@ def make_luminaire() -> type:
             )
 
     return Luminaire
+
+
+def _up(props: mi.Properties, tilt: Tilt | None, name: str) -> NDArray[np.float64] | None:
+    """The unit vector ``up`` of the scene; None if the file has no tilt factors. Raises :class:`OptionError`."""
+    given = props.get("up", None)
+    if given is None and tilt is not None:
+        raise OptionError(
+            f"'luminaire': {name} has factors for a tilted luminaire; give 'up', the vertical of the scene, as 0, 0, 1"
+        )
+    if given is None or tilt is None:
+        return None
+    up = np.asarray(given, np.float64).ravel() if not isinstance(given, str) else np.zeros(0)
+    length = float(np.linalg.norm(up))
+    if up.shape != (3,) or not 0.0 < length < np.inf:
+        raise OptionError(f"'luminaire': 'up' is a vector of three numbers, not {given!r}")
+    return up / length
 
 
 def _luminance(color: mi.Texture) -> float:

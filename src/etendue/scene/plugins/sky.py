@@ -13,8 +13,10 @@ all radiance, of luminance 1; ``sampling_weight`` as in every emitter.
 
 Sampling: sky, ground and sun are chosen by the integrals of their luminance over directions. Directions of the sky have
 a density that is bilinear in azimuth and height, tabulated from the luminance; of the ground, a uniform one; of the
-sun, one that is uniform over its projected disc. Densities are those of the mixture. There is no ``sample_ray``, which
-needs the size of the scene: Mitsuba's own ``ptracer`` refuses the plugin, étendue's methods have discs of their own.
+sun, one that is uniform over its projected disc. Densities are those of the mixture. Rays start on the disc of a sphere
+around the scene that is perpendicular to them, uniformly: ``center`` and ``radius``, since Mitsuba tells a Python
+plugin nothing of the scene. Only Mitsuba's own ``ptracer`` needs them: étendue sets them when it loads a scene, and its
+methods have discs of their own.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ def sky_of(props: mi.Properties) -> Sky:
 
 def _given(props: mi.Properties) -> dict[str, Any]:
     """The plugin's own parameters; reading marks them as used."""
-    others = ("color", "to_world", "sampling_weight")
+    others = ("color", "to_world", "sampling_weight", "center", "radius")
     return {str(key): props[key] for key in props.keys() if key not in others}  # noqa: SIM118
 
 
@@ -103,6 +105,20 @@ def _sun(given: dict[str, Any]) -> tuple[list[float] | None, float | None]:
     return towards, float(day_of_year(time)[0])
 
 
+def _sphere(props: mi.Properties) -> tuple[list[float], float]:
+    """Centre and radius of the sphere that rays start from; radius 0 if it is not given."""
+    radius, center = props.get("radius", None), props.get("center", None)
+    if radius is not None and not (is_number(radius) and radius > 0.0):
+        raise OptionError(f"'sky': 'radius' is {radius!r}; give that of a sphere around the scene, above 0")
+    try:
+        point = np.zeros(3) if center is None else np.asarray(center, np.float64).ravel()
+    except ValueError:
+        point = np.zeros(0)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise OptionError(f"'sky': 'center' is {center!r}; give a point")
+    return point.tolist(), 0.0 if radius is None else float(radius)
+
+
 def make_sky() -> type:
     """The emitter class for the current variant."""
 
@@ -122,7 +138,18 @@ def make_sky() -> type:
             luminances = (sky.scale, sky.sun_luminance, sky.ground_luminance)
             self.values = mi.Float([*values, *luminances])
             self.sun_direction = mi.Vector3f(*sky.sun)
+            self._place_rays(*_sphere(props))
             self._make_table()
+
+        def surround(self, box: mi.ScalarBoundingBox3f) -> None:
+            """Let rays start from the sphere around a scene of this box."""
+            sphere = box.bounding_sphere()
+            self._place_rays([float(x) for x in np.asarray(sphere.center).ravel()], float(sphere.radius))
+
+        def _place_rays(self, center: list[float], radius: float) -> None:
+            self._emits = radius > 0.0
+            self._center, self._radius = mi.Point3f(*center), mi.Float(radius)
+            dr.make_opaque(self._center, self._radius)
 
         def _make_table(self) -> None:
             """What next event samples; from the values, which a user may have changed."""
@@ -195,6 +222,35 @@ def make_sky() -> type:
 
         def eval(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Spectrum:
             return self._radiance(self.to_world.inverse() @ -si.wi, si, active)
+
+        def sample_ray(
+            self,
+            time: mi.Float,
+            sample1: mi.Float,
+            sample2: mi.Point2f,
+            sample3: mi.Point2f,
+            active: mi.Bool | bool = True,
+        ) -> tuple[mi.Ray3f, mi.Spectrum]:
+            if not self._emits:
+                raise OptionError(
+                    "'sky' does not know the scene around which its rays start; give 'center' and 'radius' of a sphere "
+                    "around it, or load it by étendue"
+                )
+            wavelengths, color = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
+            local = self._direction(sample3, active)
+            d, pdf = -(self.to_world @ local), self._density(local)
+            disc = mi.warp.square_to_uniform_disk_concentric(sample2)
+            across = mi.Frame3f(d).to_world(mi.Vector3f(disc.x, disc.y, 0.0))
+            ray = mi.Ray3f(self._center + (across - d) * self._radius, d, time, wavelengths)
+            area = dr.pi * dr.square(self._radius)
+            lit = mi.Bool(active) & (pdf > 0.0)
+            return ray, color * dr.select(lit, self._luminance(local) / EFFICACY * area / pdf, 0.0)
+
+        def sample_position(
+            self, time: mi.Float, sample: mi.Point2f, active: mi.Bool | bool = True
+        ) -> tuple[mi.PositionSample3f, mi.Float]:
+            """Undefined, as in Mitsuba's own skies: it is traced for emitters with a place, but never used."""
+            return dr.zeros(mi.PositionSample3f), mi.Float(dr.nan)
 
         def sample_direction(
             self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool | bool = True

@@ -1,0 +1,142 @@
+"""Thermal conditions of groups of patches from tables: one for all times, and loads that change with the hour."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, suggest
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..heat import Conditions
+
+#: Columns of numbers; ``power`` is a flux times the area of the group. Those that loads may change come first.
+_LOADS = ("temperature", "flux", "power", "ambient")
+_COLUMNS = (*_LOADS, "conductance", "emissivity")
+#: The row of all groups without one of their own.
+_OTHERS = "*"
+
+
+def read_conditions(
+    path: Path, names: Sequence[str], group: NDArray[np.int64], patches: Patches, loads: Path | None = None
+) -> tuple[Conditions, list[str]]:
+    """Conditions of patches (n,) whose ``group`` has one of ``names``, and the names of cases.
+
+    path: a table with the columns ``group`` and some of ``temperature`` (K), ``flux`` (W/m^2, or ``adiabatic``),
+    ``power`` (W of the whole group), ``conductance`` (W/(m^2 K)), ``ambient`` (K) and ``emissivity`` (by default that
+    of the mesh, one minus its reflectance; 1 of coloured patches). The group ``*`` is every other one.
+    loads: a table of cases, such as hours: the first column names them, and ``GROUP:COLUMN`` takes the place of a
+    number of the other table.
+
+    Raises :class:`RadiosityError` for groups that are not there or have no condition, and for what is no number.
+    """
+    heads, rows = _table(path)
+    if not heads or heads[0].lower() != "group":
+        raise RadiosityError(f"{path}: the first column is 'group', not '{heads[0] if heads else ''}'")
+    for head in heads[1:]:
+        if head.lower() not in _COLUMNS:
+            raise RadiosityError(f"{path} has a column '{head}'; {suggest(head.lower(), _COLUMNS)}")
+    found: dict[str, dict[str, float]] = {}
+    for number, row in rows:
+        name = row[0]
+        if name != _OTHERS and name not in names:
+            raise RadiosityError(f"{path}, line {number}: there is no group '{name}'; {suggest(name, names)}")
+        if name in found:
+            raise RadiosityError(f"{path}, line {number}: group '{name}' has a row above, too")
+        pairs = zip(heads[1:], row[1:], strict=True)
+        found[name] = {head.lower(): _number(path, number, head, cell) for head, cell in pairs if cell}
+    if lacking := [name for name in names if name not in found and _OTHERS not in found]:
+        raise RadiosityError(f"{path} has no row of group '{lacking[0]}'; give it one, or '*' for all others")
+    table = [{**found.get(name, found.get(_OTHERS, {}))} for name in names]
+    cases, changes = ([""], {}) if loads is None else _loads(loads, names)
+    values = {column: np.full((len(names), len(cases)), np.nan) for column in _COLUMNS}
+    for g, known in enumerate(table):
+        for column, value in known.items():
+            values[column][g] = value
+    for (g, column), series in changes.items():
+        values[column][g] = series
+    sizes = np.bincount(group, patches.areas, len(names))[:, None]
+    values["flux"] = np.where(np.isnan(values["power"]), values["flux"], values["power"] / np.maximum(sizes, 1e-300))
+    _check(path, names, values)
+    for column in ("flux", "conductance", "ambient"):
+        values[column] = np.nan_to_num(values[column])
+    of_patches = {name: values[name][group] for name in Conditions.__dataclass_fields__}
+    own = 1 - patches.reflectance if patches.channels == 1 else np.ones((len(patches), 1))
+    of_patches["emissivity"] = np.where(np.isnan(of_patches["emissivity"]), own, of_patches["emissivity"])
+    return Conditions(**of_patches), cases
+
+
+def _check(path: Path, names: Sequence[str], values: dict[str, Array]) -> None:
+    """Raise :class:`RadiosityError` for conditions that lack something, or exclude each other."""
+    has = {column: np.asarray(np.isfinite(array).any(axis=1)) for column, array in values.items()}
+    for g, name in enumerate(names):
+        kinds = [column for column in ("temperature", "flux", "conductance") if has[column][g]]
+        where = f"{path}: group '{name}'"
+        if not kinds:
+            raise RadiosityError(f"{where} has no temperature, flux (0 or 'adiabatic' for none), power or conductance")
+        if "temperature" in kinds and len(kinds) > 1:
+            raise RadiosityError(f"{where} has a temperature and a {kinds[1]}: give one of the two")
+        if has["conductance"][g] != has["ambient"][g]:
+            raise RadiosityError(f"{where}: a conductance and the temperature of its ambient belong together")
+        for column in kinds:
+            if np.isnan(values[column][g]).any():
+                raise RadiosityError(f"{where} has no {column} in case {int(np.isnan(values[column][g]).argmax()) + 1}")
+
+
+def _loads(path: Path, names: Sequence[str]) -> tuple[list[str], dict[tuple[int, str], Array]]:
+    """Names of cases, and numbers (c,) by the number of a group and a column."""
+    heads, rows = _table(path)
+    if not rows:
+        raise RadiosityError(f"{path} has no rows")
+    changes = {}
+    for k, head in enumerate(heads[1:], 1):
+        name, _, column = head.rpartition(":")
+        column = column.strip().lower()
+        if name not in names:
+            raise RadiosityError(f"{path}: column '{head}' is no GROUP:COLUMN of a group; {suggest(name, names)}")
+        if column not in _LOADS:
+            raise RadiosityError(f"{path}: column '{head}' must end in {', '.join(_LOADS)}")
+        numbers = []
+        for line, row in rows:
+            if not row[k]:
+                raise RadiosityError(f"{path}, line {line}: column '{head}' has no number")
+            numbers.append(_number(path, line, column, row[k]))
+        changes[names.index(name), column] = np.array(numbers)
+    return [row[0] for _, row in rows], changes
+
+
+def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The heads of the columns, and the number of the line and the cells of each row."""
+    try:
+        text = path.read_text("utf-8-sig")
+    except FileNotFoundError:
+        raise RadiosityError(f"there is no table {path}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RadiosityError(f"{path} cannot be read as text: {error}") from None
+    head = text.partition("\n")[0]
+    delimiter = next((c for c in ";\t" if c in head), ",")
+    lines = csv.reader(text.splitlines(), delimiter=delimiter)
+    rows = [(number, [cell.strip() for cell in row]) for number, row in enumerate(lines, 1) if any(map(str.strip, row))]
+    if not rows:
+        raise RadiosityError(f"{path} is empty")
+    for number, row in rows:
+        if len(row) != len(rows[0][1]):
+            raise RadiosityError(f"{path}, line {number} has {len(row)} cells, not {len(rows[0][1])}")
+    return rows[0][1], rows[1:]
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    if column.lower() == "flux" and cell.lower() == "adiabatic":
+        return 0.0
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise RadiosityError(f"{path}, line {line}: {column} '{cell}' is no number")
+    return value

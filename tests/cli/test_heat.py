@@ -1,0 +1,159 @@
+"""`etendue heat`: tables of conditions and loads, and files of results."""
+
+from __future__ import annotations
+
+import csv
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import etendue
+from etendue.cli.main import main
+from etendue.radiosity import STEFAN_BOLTZMANN as SIGMA, box, read_form_factors
+
+CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+#: A room, whose fronts are inside.
+ROOM = {"floor": "5 7 3 1", "roof": "4 8 6 2", "walls": "3 4 2 1\nf 6 8 7 5\nf 2 6 5 1\nf 7 8 4 3"}
+
+
+def run(command: str) -> int:
+    return main(["heat", *shlex.split(command)])
+
+
+def rows(path):
+    return list(csv.DictReader(Path(path).open()))
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = [f"v {x} {y} {z}" for x, y, z in CORNERS]
+    for name, faces in ROOM.items():
+        lines += [f"g {name}", f"f {faces}"]
+    Path("room.obj").write_text("\n".join([*lines, ""]))
+    Path("c.csv").write_text("group,temperature,flux,emissivity\nfloor,350,,0.9\nroof,290,,0.8\nwalls,,adiabatic,0.5\n")
+
+
+def test_a_room_with_adiabatic_walls(capsys):
+    """By the network: floor and roof exchange directly and over the walls, which have one radiosity for each height;
+    at most that of walls of one radiosity, at least that without walls."""
+    assert run("room.obj -c c.csv --bundles 1024 --max-area 0.02 --seed 1 -o heat.csv -o heat.npz -o heat.vtu") == 0
+    assert capsys.readouterr().out.split() == ["heat.csv", "heat.npz", "heat.vtu"]
+    found = {row["group"]: {k: float(v) for k, v in row.items() if k != "group"} for row in rows("heat.csv")}
+    direct = 0.199824895698387
+    black = SIGMA * (350**4 - 290**4)
+    surfaces = 1 / 0.9 - 1 + 1 / 0.8 - 1
+    least, most = (black / (1 / f + surfaces) for f in (direct, direct + (1 - direct) / 2))
+    assert least < found["floor"]["heat"] < 1.002 * most
+    assert found["roof"]["heat"] == pytest.approx(-found["floor"]["heat"], rel=1e-9)
+    assert found["walls"]["heat"] == pytest.approx(0, abs=1e-6) and found["walls"]["area"] == pytest.approx(4)
+    assert found["walls"]["temperature"] == pytest.approx(((350**4 + 290**4) / 2) ** 0.25, rel=0.01)
+    assert 290 < found["walls"]["lowest"] < found["walls"]["highest"] < 350
+    assert found["floor"]["lowest"] == found["floor"]["highest"] == 350
+    arrays = np.load("heat.npz")
+    assert arrays["temperature"].shape == (len(arrays["group"]), 1) and arrays["names"].tolist() == list(ROOM)
+
+
+def test_loads_and_given_factors():
+    assert main(["form-factors", "room.obj", "--bundles", "256", "--repair", "-o", "f.npz"]) == 0
+    Path("c.csv").write_text("group;temperature;flux;conductance;ambient;emissivity\nfloor;300;;;;1\n*;;;5;280;0.9\n")
+    Path("hours.csv").write_text("hour,floor:temperature,roof:ambient\n9:00,300,280\n10:00,320,300\n")
+    assert run("room.obj -c c.csv --factors f.npz --loads hours.csv -o hours-out.csv") == 0
+    both = rows("hours-out.csv")
+    assert [row["case"] for row in both] == ["9:00", "10:00"]
+    assert both[1]["floor:temperature"] == "320" and float(both[1]["roof:temperature"]) > float(
+        both[0]["roof:temperature"]
+    )
+    # Each hour alone, and by Python.
+    for temperature, ambient, row in ((300, 280, both[0]), (320, 300, both[1])):
+        Path("one.csv").write_text(
+            "group,temperature,conductance,ambient,emissivity\n"
+            f"floor,{temperature},,,1\nroof,,5,{ambient},0.9\nwalls,,5,280,0.9\n"
+        )
+        alone = etendue.solve_heat("room.obj", "one.csv", factors="f.npz")
+        table = alone.table()
+        for g, name in enumerate(alone.names):
+            assert float(row[f"{name}:temperature"]) == pytest.approx(table["temperature"][g, 0], rel=1e-8)
+            assert float(row[f"{name}:heat"]) == pytest.approx(table["heat"][g, 0], rel=1e-6)
+    # In a closed room, heat by radiation is only exchanged.
+    assert sum(float(both[0][f"{name}:heat"]) for name in ROOM) == pytest.approx(0, abs=1e-6)
+
+
+def test_power_and_surroundings_of_a_body():
+    """A cube in the open: sigma e (T^4 - T_s^4) per area."""
+    vertices, faces = box((0, 0, 0), (1, 1, 1), 1)
+    text = [f"v {x} {y} {z}" for x, y, z in vertices] + [
+        "g body",
+        *("f " + " ".join(str(k + 1) for k in f) for f in faces),
+    ]
+    Path("body.obj").write_text("\n".join([*text, ""]))
+    Path("c.csv").write_text("group,power,emissivity\nbody,600,0.8\n")
+    assert run("body.obj -c c.csv --surroundings 250 --bundles 64") == 0
+    found = rows("heat.csv")[0]
+    assert float(found["heat"]) == pytest.approx(600, rel=1e-8) and float(found["flux"]) == pytest.approx(100, rel=1e-8)
+    assert float(found["temperature"]) == pytest.approx((250**4 + 100 / 0.8 / SIGMA) ** 0.25, rel=1e-8)
+
+
+def test_the_emissivity_of_the_mesh():
+    """View3D's, if the table has none: of two large plates close to each other, q = sigma (T_1^4 - T_2^4) / 9."""
+    corners = [
+        f"V {4 * z + k + 1} {x} {y} {0.001 * z}"
+        for z in (0, 1)
+        for k, (x, y) in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)])
+    ]
+    plates = ["S 1 1 2 3 4 0 0 0.2 low", "S 2 8 7 6 5 0 0 0.2 high"]
+    Path("plates.vs3").write_text("\n".join(["T", "F 3", *corners, *plates, "End of Data", ""]))
+    Path("c.csv").write_text("group,temperature\nlow,400\nhigh,300\n")
+    assert run("plates.vs3 -c c.csv --bundles 1024") == 0
+    found = float(rows("heat.csv")[0]["heat"])
+    assert found == pytest.approx(SIGMA * (400**4 - 300**4) / (2 / 0.2 - 1), rel=0.02)
+
+
+def test_turned_faces_of_form_factors():
+    """--orient reaches the mesh."""
+    turned = Path("room.obj").read_text().replace("f 5 7 3 1", "f 1 3 7 5")
+    Path("turned.obj").write_text(turned)
+    assert main(["form-factors", "turned.obj", "--bundles", "64", "--orient", "inward", "-o", "f.npz"]) == 0
+    assert read_form_factors("f.npz").dark.max() == 0
+
+
+@pytest.mark.parametrize(
+    ("conditions", "loads", "words"),
+    [
+        ("group,temperature\nfloor,300\n", "", "no row of group 'roof'"),
+        ("group,temperature\n*,300\nceiling,200\n", "", "line 3: there is no group 'ceiling'"),
+        ("group,temperature\n*,300\nfloor,200\nfloor,210\n", "", "line 4: group 'floor' has a row above"),
+        ("group,temperature,flux\n*,300,5\n", "", "has a temperature and a flux"),
+        ("group,temperature\nfloor,300\n*,\n", "", "group 'roof' has no temperature, flux"),
+        ("group,temperature,flux\nfloor,300,\n*,,none\n", "", "line 3: flux 'none' is no number"),
+        ("group,temperature\n*,nan\n", "", "is no number"),
+        ("group,temperature\n*,-3\n", "", "temperature must be at least 0"),
+        ("group,temperature,emissivity\n*,300,1.5\n", "", "emissivity must be in"),
+        ("group,kelvin\n*,300\n", "", "has a column 'kelvin'"),
+        ("name,temperature\n*,300\n", "", "the first column is 'group'"),
+        ("group,temperature,conductance\nfloor,300,\n*,,5\n", "", "belong together"),
+        ("group,temperature\n*,300,4\n", "", "line 2 has 3 cells, not 2"),
+        ("group,flux\n*,10\n", "", "absorb"),
+        ("group,temperature\n*,300\n", "h,floor\n1,2\n", "'floor' is no GROUP:COLUMN"),
+        ("group,temperature\n*,300\n", "h,floor:emissivity\n1,2\n", "must end in temperature"),
+        ("group,temperature\n*,300\n", "h,floor:temperature\n1,2\n2,\n", "line 3: column 'floor:temperature' has no"),
+        ("group,temperature\n*,300\n", "h,floor:temperature\n", "has no rows"),
+    ],
+)
+def test_bad_tables_are_one_line(capsys, conditions, loads, words):
+    Path("c.csv").write_text(conditions)
+    Path("h.csv").write_text(loads)
+    assert run("room.obj -c c.csv --bundles 16" + (" --loads h.csv" if loads else "")) not in (0, 70)
+    told = capsys.readouterr().err
+    line = next(line for line in told.splitlines() if line.startswith("error: "))
+    assert words in line, line
+    assert not Path("heat.csv").exists()
+
+
+def test_files_that_cannot_be(capsys):
+    assert run("room.obj -c c.csv -o heat.txt") == 2
+    assert "written as .csv, .npz, .vtu" in capsys.readouterr().err
+    assert run("room.obj -c none.csv") not in (0, 70)
+    assert "there is no table none.csv" in capsys.readouterr().err
