@@ -37,6 +37,21 @@ def test_a_facade_of_windows(turn):
     assert (areas @ normal).sum() == pytest.approx(27 - 27 / 4)
 
 
+@pytest.mark.parametrize("step", [1e-3, 1e-2])
+def test_walls_of_cities_are_rounded(step):
+    """A wall of 10 by 6 m with a door on its lower edge and windows, in any position: what is left has the area that it
+    should have within half a step along the outlines of all, 42 m."""
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
+        wall, *holes = (
+            np.round((placed(SQUARE, 0, size, at) @ turn + [448000, 5411000, 30]) / step) * step
+            for size, at in (([10, 6], (0, 0)), ([1, 2.1], (3, 0)), ([1.5, 1.2], (6, 1)), ([0.4, 0.4], (8, 4)))
+        )
+        areas = vectors(cut_out("wall", wall, [("hole", hole) for hole in holes]))
+        assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(60 - 2.1 - 1.8 - 0.16, abs=42 * step / 2)
+
+
 @pytest.mark.parametrize(
     ("holes", "message"),
     [

@@ -120,8 +120,8 @@ def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     if "transform" in data:
         vertices = vertices * data["transform"]["scale"] + data["transform"]["translate"]
     objects: dict[str, Any] = data["CityObjects"]
-    # The finest level of detail of an object and of its parts (BuildingPart, not balconies): a building may
-    # have a footprint beside those.
+    # The finest level of detail of an object and of its parts (BuildingPart, not balconies), beside which it may have a
+    # footprint.
     levels = {name: max((_level(g) for g in item.get("geometry", [])), default=-1.0) for name, item in objects.items()}
     for name, item in objects.items():
         parts = [part for part in item.get("children", []) if objects[part]["type"].endswith("Part")]

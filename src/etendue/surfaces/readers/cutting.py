@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import compress
-from operator import not_
 
 import numpy as np
 
@@ -13,11 +11,12 @@ from etendue.core import Array
 from ..errors import PatchError
 from .polygons import ears
 
-#: Distance from a line, or from the plane, that counts as none, in units of the size of the polygon: vertices of files
-#: are often rounded to single precision.
+#: Distance from a line that counts as none, in units of the size of the polygon: vertices of files are often rounded to
+#: single precision.
 _SAME = 1e-6
-#: Part of the area of what is cut off that may lie outside of the polygon.
-_OUTSIDE = 1e-4
+#: Distance of a hole from the plane of the polygon, in the same units, and part of its area that may lie outside of it:
+#: cities are rounded to millimetres, or to centimetres.
+_APART, _OUTSIDE = 2e-3, 5e-3
 
 
 def cut_out(name: str, outline: Array, holes: Sequence[tuple[str, Array]]) -> list[Array]:
@@ -33,12 +32,16 @@ def cut_out(name: str, outline: Array, holes: Sequence[tuple[str, Array]]) -> li
     vector = np.sum([_vector(piece) for piece in pieces], axis=0)
     whole = float(np.linalg.norm(vector))
     normal = vector / max(whole, 1e-300)
+    apart = float(np.abs((outline - outline[0]) @ normal).max()) + _APART * size
     for hole_name, hole in holes:
-        if np.abs((hole - outline[0]) @ normal).max() > 10 * _SAME * size:
+        if np.abs((hole - outline[0]) @ normal).max() > apart:
             raise PatchError(f"{hole_name} lies in another plane")
-        low, high = hole.min(axis=0) - _SAME * size, hole.max(axis=0) + _SAME * size
-        are_near = [bool((piece.max(axis=0) > low).all() and (piece.min(axis=0) < high).all()) for piece in pieces]
-        near, pieces = list(compress(pieces, are_near)), list(compress(pieces, map(not_, are_near)))
+        low, high = hole.min(axis=0) - apart, hole.max(axis=0) + apart
+        near: list[Array] = []
+        others: list[Array] = []
+        for piece in pieces:
+            is_near = (piece.max(axis=0) > low).all() and (piece.min(axis=0) < high).all()
+            (near if is_near else others).append(piece)
         before = _area(near)
         parts = _triangles(hole_name, hole if _vector(hole) @ normal > 0 else hole[::-1])
         for triangle in parts:
@@ -48,7 +51,7 @@ def cut_out(name: str, outline: Array, holes: Sequence[tuple[str, Array]]) -> li
         gone = _area(parts)
         if abs(before - _area(near) - gone) > _OUTSIDE * gone + _SAME * whole:
             raise PatchError(f"{hole_name} is not inside, or overlaps another one in it")
-        pieces += near
+        pieces = others + near
     return pieces
 
 
