@@ -63,7 +63,13 @@ Reflectance = Annotated[
     ),
 ]
 Ids = Annotated[
-    str | None, typer.Option("--ids", help="Of a mesh: array of the file; faces of equal number are one patch.")
+    str | None,
+    typer.Option(
+        "--ids",
+        help="Of a mesh: array of the file; faces of equal number are one patch. groups for its named groups, file for "
+        "one patch of each file.",
+        metavar="NAME",
+    ),
 ]
 TwoSided = Annotated[
     bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
