@@ -325,7 +325,8 @@ def compute_form_factors(
     mesh: :class:`etendue.radiosity.Patches`, the path of a mesh file, or a Mitsuba scene in any form that
         :func:`render` takes. Each face is a patch; faces larger than ``max_area`` are subdivided.
     method: ``lines`` through the whole scene; ``spheres``, lines in spheres around ``objects`` and in the whole scene;
-        or ``exact``, by integrals, for surfaces that hide nothing from each other. ``settings`` are those of the
+        ``exact``, by integrals, see :func:`etendue.radiosity.exact_form_factors`; or ``auto``, exact for up to 1,500
+        patches unless something is asked for that only lines have. ``settings`` are those of the
         method, see ``etendue methods lines``.
     estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
         default F1, or F4 with ``spheres``.

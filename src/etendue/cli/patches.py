@@ -10,7 +10,7 @@ import typer
 from etendue.core import OptionError, logger
 
 from . import options as opt
-from .console import command_line, error_console
+from .console import command_line, error_console, note
 from .settings import settings_in, with_settings
 
 FactorFiles = Annotated[
@@ -140,8 +140,8 @@ def form_factors(
         typer.Option(
             "--method",
             "-m",
-            help="lines through the whole scene; spheres, lines also in spheres around objects; or exact, by "
-            "integrals, for surfaces that hide nothing from each other.",
+            help="lines through the whole scene; spheres, lines also in spheres around objects; exact, by integrals, "
+            "for some thousand patches; or auto, exact or lines.",
             metavar="NAME",
         ),
     ] = "lines",
@@ -256,6 +256,7 @@ def form_factors(
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
         save_every=save_every,
+        tell=lambda text: note(error_console(), text),
         is_watched=error_console().is_terminal,
     )
     without_hierarchy(run, hierarchy if hierarchy != "" else True)

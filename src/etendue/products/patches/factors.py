@@ -15,6 +15,7 @@ from etendue.engine import Budget, Job, RunResult, Task, silent
 from etendue.lighting import SkyPatches, compass
 from etendue.radiosity import (
     ESTIMATORS,
+    EXACT_TOLERANCE,
     Correction,
     FormFactors,
     HierarchicalCasting,
@@ -65,6 +66,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     north: float = 0.0
     sky_patches: int | None = None
     outputs: tuple[Path, ...] = ()
+    tolerance: float | None = None  #: of form factors by integrals
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -161,13 +163,13 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def at_once(
         self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
     ) -> FormFactorResult:
-        """Form factors by integrals instead of lines, of surfaces that hide nothing from each other."""
+        """Form factors by integrals instead of lines."""
         problem = source.open(tell)
         self.check(problem)
         on_patches(problem.patches)
         tell("integrating over contours")
         begin = time.perf_counter()
-        factors, correction = self._corrected(exact_form_factors(problem.patches))
+        factors, correction = self._corrected(exact_form_factors(problem.patches, self.tolerance or EXACT_TOLERANCE))
         elapsed, writing = time.perf_counter() - begin, Writing()
         groups = self._write(writing, problem.patches, factors, about(problem.source, estimator="exact", **self._asked))
         writing.finish()

@@ -54,8 +54,8 @@ def exchange_rows(
     exchange: Array,
     errors: Array,
 ) -> tuple[int, int, int]:
-    """Add A_i F_ij between sides ``first`` to ``last - 1`` and all later sides to ``exchange[i, j]``, and an estimate of
-    its error to ``errors[i, j]``.
+    """Add A_i F_ij between sides ``first`` to ``last - 1`` and all later sides to ``exchange[i, j]``, and estimates of
+    errors to ``errors[i, j]``.
 
     sides (s, 4, 3) in ascending order of their patch (s,), backs without a patch last; blockers (b, 4, 3): faces that
     may occlude others, in a tree of ``boxes`` (t, 2, 3) and ``nodes`` (t, 3): the number of the first blocker of a leaf

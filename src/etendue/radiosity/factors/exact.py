@@ -20,6 +20,8 @@ Index = NDArray[np.int64]
 
 #: A vertex is behind a face if it is further behind than this, in radii of the scene.
 _BEHIND = 1e-6
+#: Tolerance of form factors between patches that others hide in part, by default.
+EXACT_TOLERANCE = 1e-4
 #: Bytes for each pair of patches.
 _BYTES = 64
 #: Bundles of lines that look for backs in sight: their share is then zero, or below one in some hundred thousand.
@@ -30,18 +32,18 @@ _LEAF = 4
 _CLOSED = 1e-6
 
 
-def exact_form_factors(patches: Patches, tolerance: float = 1e-4) -> FormFactors:
+def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> FormFactors:
     """Form factors by contour integrals [Sparrow 1963]. Time and memory grow with the square of the number of patches.
 
     Pairs that see all of each other have errors of about 1e-8 (1e-6 from meshes in single precision), and those with
     nothing in sight of each other are zero. Of the others, the contour of what is seen is integrated in closed form
     from points of the smaller patch, which is divided until the estimated error of the form factor is below
-    ``tolerance``; ``errors`` has the estimates. Faces that are partly behind each other's plane are clipped. The
-    deficit of a row sum is the share of the sky and of backs of faces; deficits below 1e-6, or below the errors of the
-    row, are left.
+    ``tolerance``; for a form factor of a few of these, one point is enough. ``errors`` has the estimates. Faces that
+    are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of backs of
+    faces; deficits below 1e-6, or below the errors of the row, are left.
 
-    Raises :class:`RadiosityError` if a face lies on another, if more than :data:`.occlusion.PIECES` pieces of a face are
-    seen between others, and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
+    Raises :class:`RadiosityError` if a face lies on another, if more pieces of a face are seen between others than
+    there is room for, and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
     :class:`etendue.core.BackendError` without Numba.
     """
     if not 0 < tolerance < 1:
@@ -94,8 +96,8 @@ def exact_form_factors(patches: Patches, tolerance: float = 1e-4) -> FormFactors
 
 
 def _tree(faces: Array) -> tuple[Array, Array, Index]:
-    """Faces (b, 4, 3) in the order of a tree of boxes, the boxes (t, 2, 3), and for each the first face of a leaf and the
-    one behind its last, or zeros, and the node behind those below it."""
+    """Faces (b, 4, 3) in the order of a tree of boxes, the boxes (t, 2, 3), and for each of these the first face of a
+    leaf and the one behind its last, or zeros, and the node behind those below it."""
     boxes: list[Array] = []
     nodes: list[list[int]] = []
     order: list[Index] = []
