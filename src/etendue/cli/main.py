@@ -434,13 +434,18 @@ def check(
 
 
 @app.command()
-def doctor(debug: opt.Debug = False) -> int:
+def doctor(
+    report: Annotated[
+        bool, typer.Option("--report", help="One text for a report of a fault, without names of your folders.")
+    ] = False,
+    debug: opt.Debug = False,
+) -> int:
     """Report what is installed, what is wrong and how to fix it."""
     from rich.console import Console
 
     from .inspection.doctor import run_doctor
 
-    return run_doctor(Console())
+    return run_doctor(Console(), report)
 
 
 if __name__ == "__main__":
