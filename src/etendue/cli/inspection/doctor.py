@@ -99,8 +99,8 @@ def run_doctor(console: Console, as_report: bool = False) -> int:
 
 
 def report(checks: list[Check]) -> str:
-    """What a report of a fault should contain: checks, the packages of the extras, and the cache of kernels, in one text
-    without the names of the user's folders."""
+    """What a report of a fault should contain: checks, packages and the cache of kernels, in one text without names of
+    the user's folders."""
     lines = [f"{check.name}: {check.status}, {check.finding}" for check in checks]
     lines += [f"processor: {os.cpu_count()} threads, {platform.platform()}"]
     named = sorted({re.split(r"[ <>=;\[]", need)[0] for need in importlib.metadata.requires("etendue") or ()})
