@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import Array, Method, OptionError, Settings, checked_path, logger, warn_of_nonfinite
-from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, silent
+from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, fitting_samples, silent
 from etendue.lighting import EFFICACY, Meters, photometric
 from etendue.scene import Problem
 
@@ -23,8 +23,9 @@ from .pictures import developed
 
 #: Camera paths of each meter, if there is no limit, and passes of a run, whose variance gives the standard error.
 _PATHS, _PASSES = 4096, 32
-#: Paths of a pass of a run that is limited in time or error, and most of a meter.
-_SHORT, _MOST = 1 << 17, 64
+#: Paths of a pass that takes a fraction of a second; most of a meter if nothing tells how many there will be, and at
+#: all (``samples_per_pass``).
+_SHORT, _MOST, _LARGEST = 1 << 17, 64, 4096
 #: Names of what is measured, by quantity: in watts, and in lumens.
 _RADIOMETRIC = {
     "irradiance": ("irradiance", "W/m^2"),
@@ -213,10 +214,13 @@ class MeterTable(Product[Readings]):
 
     def settings(self, task: Task, problem: Problem, budget: Budget) -> Settings:
         """Those of the task: the depth of paths in pictures of the scene does not apply. Without a number of samples,
-        passes are short, so that there are several for the standard error."""
-        given = dict(task.settings)
+        passes are short, so that there are several for the standard error. With one, those of few meters are longer
+        than those of pictures, which have more pixels."""
+        given, most = dict(task.settings), _SHORT // len(self.meters)
         if budget.samples is None:
-            given.setdefault("samples_per_pass", min(max(1, _SHORT // len(self.meters)), _MOST))
+            given.setdefault("samples_per_pass", min(max(1, most), _MOST))
+        elif (enough := min(most, budget.samples // _PASSES, _LARGEST)) > _MOST:
+            given.setdefault("samples_per_pass", fitting_samples(budget.samples, enough))
         made: Settings = task.method.Settings.from_mapping(given, owner=f"method '{task.method.name}'")
         return made
 
