@@ -122,10 +122,18 @@ FactorCommand = with_settings(_factor_methods, "lines")
 SolutionCommand = with_settings(_solution_methods, "lines")
 
 
-def further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
-    """Arguments of ``read_patches``: further files, where a checkpoint finds them again."""
-    named = {"more": more, "obstacles": obstacles}
-    return {name: [str(path.absolute()) for path in files] if files else None for name, files in named.items()}
+def mesh_arguments(
+    ids: str | None,
+    two_sided: bool,
+    orient: str | None,
+    more: list[Path] | None,
+    obstacles: list[Path] | None,
+    **named: Any,
+) -> dict[str, Any]:
+    """Arguments of ``read_patches``, with further files where a checkpoint finds them again."""
+    files = {"more": more, "obstacles": obstacles}
+    further = {name: [str(path.absolute()) for path in some] if some else None for name, some in files.items()}
+    return {"ids": ids, "two_sided": two_sided, "orient": orient, **further, **named}
 
 
 def form_factors(
@@ -250,8 +258,7 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided, "orient": orient}
-        | further(more, obstacles),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance)),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -474,16 +481,17 @@ def radiosity(
         ),
         seed=seed or 0,
         max_area=max_area,
-        mesh={
-            "reflectance": quantity(reflectance),
-            "emission": quantity(emission),
-            "temperature": quantity(temperature),
-            "ids": ids,
-            "sky": sky_of(sky),
-            "two_sided": two_sided,
-            "orient": orient,
-        }
-        | further(more, obstacles),
+        mesh=mesh_arguments(
+            ids,
+            two_sided,
+            orient,
+            more,
+            obstacles,
+            reflectance=quantity(reflectance),
+            emission=quantity(emission),
+            temperature=quantity(temperature),
+            sky=sky_of(sky),
+        ),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),

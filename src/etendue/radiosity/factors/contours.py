@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 
-from .occlusion import CORNERS, PIECES, hidden_exchange, polygon_area
+from .occlusion import CORNERS, PIECES, cut, hidden_exchange, polygon_area
 
 #: A corner this close to a plane counts as lying in it, because of the error of single precision.
 _IN_PLANE = 1e-7
@@ -218,29 +218,7 @@ def _in_front(p: Array, plane: Array, result: Array) -> int:
     if _nearest(p, plane) >= -_IN_PLANE:
         result[: len(p)] = p
         return len(p)
-    return _cut(p, len(p), plane, result)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _cut(p: Array, count: int, plane: Array, result: Array) -> int:
-    """Write to ``result`` the part of a convex polygon of ``count`` corners where ``n . x > c``, and return its number
-    of corners."""
-    nx, ny, nz, d = plane[0], plane[1], plane[2], plane[3]
-    made, h = 0, nx * p[0, 0] + ny * p[0, 1] + nz * p[0, 2] - d
-    for i in range(count):
-        j = i + 1 if i + 1 < count else 0
-        t = nx * p[j, 0] + ny * p[j, 1] + nz * p[j, 2] - d
-        if h > 0:
-            for c in range(3):
-                result[made, c] = p[i, c]
-            made += 1
-        if (h > 0) != (t > 0):
-            share = h / (h - t)
-            for c in range(3):
-                result[made, c] = p[i, c] + share * (p[j, c] - p[i, c])
-            made += 1
-        h = t
-    return made
+    return cut(p, len(p), plane[0], plane[1], plane[2], plane[3], result)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -343,7 +321,7 @@ def _meets(face: Array, low: Array, high: Array, hull: Array, planes: int, buffe
         for c in range(3):
             rest[i, c] = face[i, c]
     for k in range(planes):
-        count = _cut(rest, count, hull[k], other)
+        count = cut(rest, count, hull[k, 0], hull[k, 1], hull[k, 2], hull[k, 3], other)
         rest, other = other, rest
         if count < 3:
             return False

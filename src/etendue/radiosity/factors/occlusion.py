@@ -136,8 +136,8 @@ def _seen(
                 shade[i, c] = face[i, c] - x[c]
             corners += 1
         # What is behind the point's own plane, or behind the polygon, hides nothing.
-        corners = _above(shade, corners, of_p[0], of_p[1], of_p[2], own + 1e-9, rest)
-        corners = _above(rest, corners, of_q[0], of_q[1], of_q[2], far + 1e-9, shade)
+        corners = cut(shade, corners, of_p[0], of_p[1], of_p[2], own + 1e-9, rest)
+        corners = cut(rest, corners, of_q[0], of_q[1], of_q[2], far + 1e-9, shade)
         if corners < 3 or not _is_open(shade, corners):
             continue
         other, left = 1 - now, 0
@@ -155,12 +155,12 @@ def _seen(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _above(p: Array, count: int, nx: float, ny: float, nz: float, d: float, result: Array) -> int:
-    """Write the part of a convex polygon with n . y > d to ``result``, and return its number of corners."""
-    made = 0
+def cut(p: Array, count: int, nx: float, ny: float, nz: float, d: float, result: Array) -> int:
+    """Write the part of a convex polygon of ``count`` corners with n . x > d to ``result``, and return its number of
+    corners."""
+    made, h = 0, nx * p[0, 0] + ny * p[0, 1] + nz * p[0, 2] - d
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
-        h = nx * p[i, 0] + ny * p[i, 1] + nz * p[i, 2] - d
         t = nx * p[j, 0] + ny * p[j, 1] + nz * p[j, 2] - d
         if h > 0:
             for c in range(3):
@@ -171,6 +171,7 @@ def _above(p: Array, count: int, nx: float, ny: float, nz: float, d: float, resu
             for c in range(3):
                 result[made, c] = p[i, c] + share * (p[j, c] - p[i, c])
             made += 1
+        h = t
     return made
 
 
@@ -230,11 +231,11 @@ def _without(
             continue
         if made >= len(result) or left + 2 > CORNERS:
             return -1
-        out = _above(rest, left, -nx, -ny, -nz, 0.0, result[made])
+        out = cut(rest, left, -nx, -ny, -nz, 0.0, result[made])
         if out >= 3:
             sizes[made] = out
             made += 1
-        left = _above(rest, left, nx, ny, nz, 0.0, kept)
+        left = cut(rest, left, nx, ny, nz, 0.0, kept)
         if left < 3:
             break
         rest, kept = kept, rest
