@@ -1,4 +1,4 @@
-"""Exact form factors: closed forms, and quadratures where surfaces hide each other in part."""
+"""Exact form factors: by integrals of all pairs of patches."""
 
 from __future__ import annotations
 
@@ -15,19 +15,16 @@ from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.abuffer import ABuffer
 from .formfactors import FormFactors, numbers_of
+from .occluders import Index, occluders
 
-Index = NDArray[np.int64]
-
-#: A vertex is behind a face if it is further behind than this, in radii of the scene.
-_BEHIND = 1e-6
-#: Tolerance of form factors between patches that others hide in part, by default.
+#: Tolerance of rows, by default.
 EXACT_TOLERANCE = 1e-4
 #: Bytes for each pair of patches.
 _BYTES = 64
 #: Bundles of lines that look for backs in sight: their share is then zero, or below one in some hundred thousand.
 _LOOK = 64
-#: Most faces of a leaf of the tree of occluders.
-_LEAF = 4
+#: Error of form factors between distant patches that see all of each other: a share of the tolerance, at least this.
+_OF_TOLERANCE, _LEAST = 0.01, 1e-8
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
 _CLOSED = 1e-6
 
@@ -35,12 +32,14 @@ _CLOSED = 1e-6
 def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> FormFactors:
     """Form factors by contour integrals [Sparrow 1963]. Time and memory grow with the square of the number of patches.
 
-    Pairs that see all of each other have errors of about 1e-8 (1e-6 from meshes in single precision), and those with
-    nothing in sight of each other are zero. Of the others, the contour of what is seen is integrated in closed form
-    from points of the smaller patch, which is divided until the estimated error of the form factor is below
-    ``tolerance``; for a form factor of a few of these, one point is enough. ``errors`` has the estimates. Faces that
-    are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of backs of
-    faces; deficits below 1e-6, or below the errors of the row, are left.
+    tolerance: of the sum of a row, root mean square. Pairs that see all of each other have errors of a hundredth of it
+    at most, 1e-8 if they are near (1e-6 from meshes in single precision); those that a face hides from each other are
+    zero. Of those that are hidden in part, the contour of what is seen is integrated in closed form from points of the
+    smaller patch: from some of Sobol's sequence, as many as the tolerance needs for the size of the form factor, or
+    from those of triangles that are divided where they differ. ``errors`` has estimates.
+
+    Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of
+    backs of faces; deficits below 1e-6, or below the errors of the row, are left.
 
     Raises :class:`RadiosityError` if a face lies on another, if more pieces of a face are seen between others than
     there is room for, and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
@@ -48,7 +47,7 @@ def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> 
     """
     if not 0 < tolerance < 1:
         raise RadiosityError(f"the tolerance of form factors is above 0 and below 1, not {tolerance!r}")
-    n, loops = len(patches), compiled("factors.contours")
+    n, loops, rules = len(patches), compiled("factors.exchange"), compiled("factors.distant")
     need, free = _BYTES * (n + 1) ** 2, free_memory()
     if free is not None and need > free:
         raise RadiosityError(
@@ -65,16 +64,20 @@ def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> 
             "cast lines (ABuffer, or without --exact)"
         )
     faces, patch, turned = _sides(patches, _backs_are_seen(patches))
-    sides, of = corners[faces], planes[faces]
-    sides[turned], of[turned] = sides[turned, ::-1], -of[turned]
-    blockers, boxes, nodes = _tree(corners[_may_block(corners, planes)])
+    shapes, of = corners[faces], planes[faces]
+    shapes[turned], of[turned] = shapes[turned, ::-1], -of[turned]
+    distances = rules.least_distances(max(_OF_TOLERANCE * tolerance, _LEAST))
+    sides = loops.Sides(shapes, of, patch, _balls(shapes), rules.nodes_of(shapes), distances)
+    blockers = occluders(corners, planes)
     exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
 
-    def task(rows: Index) -> tuple[int, int, int]:
-        limits = int(rows[0]), int(rows[-1]) + 1, tolerance
-        return loops.exchange_rows(sides, of, patch, blockers, boxes, nodes, *limits, exchange, errors)
+    def task(rows: Index) -> tuple[int, int]:
+        pair: tuple[int, int] = loops.exchange_rows(
+            sides, blockers, int(rows[0]), int(rows[-1]) + 1, tolerance, exchange, errors
+        )
+        return pair
 
-    for _, a, b in in_order(partial(task, rows) for rows in _tasks(patch[patch < n])):
+    for a, b in in_order(partial(task, rows) for rows in _tasks(patch[patch < n])):
         if a >= 0:
             raise RadiosityError(
                 f"faces {faces[a]} and {faces[b]} see each other between too many others: cast lines (ABuffer, or "
@@ -95,52 +98,42 @@ def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> 
     return FormFactors(matrix, estimates, sky, patches.areas, np.zeros(n, np.int64), dark, **numbers)
 
 
-def _tree(faces: Array) -> tuple[Array, Array, Index]:
-    """Faces (b, 4, 3) in the order of a tree of boxes, the boxes (t, 2, 3), and for each of these the first face of a
-    leaf and the one behind its last, or zeros, and the node behind those below it."""
-    boxes: list[Array] = []
-    nodes: list[list[int]] = []
-    order: list[Index] = []
-    middle = faces.mean(axis=1)
-
-    def add(some: Index) -> None:
-        low, high = faces[some].min(axis=(0, 1)), faces[some].max(axis=(0, 1))
-        number = len(nodes)
-        boxes.append(np.stack([low, high]))
-        nodes.append([0, 0, 0])
-        if len(some) <= _LEAF:
-            first = sum(map(len, order))
-            nodes[number][:2] = [first, first + len(some)]
-            order.append(some)
-        else:
-            axis = np.ptp(middle[some], axis=0).argmax()
-            sorted_ = some[np.argsort(middle[some, axis], kind="stable")]
-            for part in np.array_split(sorted_, 2):
-                add(part)
-        nodes[number][2] = len(nodes)
-
-    if len(faces):
-        add(np.arange(len(faces)))
-    chosen = np.concatenate([np.zeros(0, np.int64), *order])
-    shapes = np.array(boxes).reshape(-1, 2, 3), np.array(nodes, np.int64).reshape(-1, 3)
-    return np.ascontiguousarray(faces[chosen]), *shapes
-
-
 def _backs_are_seen(patches: Patches) -> bool:
     """Whether any back without a patch is seen, by a cast of few lines."""
     return bool(ABuffer(patches, OwenSobol(4, seed=0)).cast(_LOOK).dark.any())
 
 
 def _sides(patches: Patches, with_backs: bool) -> tuple[Index, Index, NDArray[np.bool_]]:
-    """Face and patch of every side in ascending order of patches, and whether the side is a back. Backs without a patch
-    come last, as patch ``n``, if ``with_backs``; those that cannot be seen are left out."""
+    """Face and patch of every side, and whether the side is a back: near ones that face the same way after each other,
+    and those of a patch. Backs without a patch come last, as patch ``n``, if ``with_backs``; those that cannot be seen
+    are left out."""
     count, n = len(patches.faces), len(patches)
     dark = (patches.back < 0) & ~_hidden_backs(patches) if with_backs else np.zeros(count, bool)
     back = np.where(dark, n, patches.back)
     patch = np.concatenate([np.where(patches.front < 0, n, patches.front), back])
-    order = np.argsort(patch, kind="stable")
+    order = np.argsort(np.append(_places(patches), n)[patch], kind="stable")
     order = order[patch[order] >= 0]
     return order % count, patch[order], order >= count
+
+
+def _balls(sides: Array) -> Array:
+    """(s, 4) the centre of each side (s, 4, 3), and the square of its diameter."""
+    across = sides[:, :, None] - sides[:, None]
+    return np.column_stack([sides.mean(axis=1), (across**2).sum(axis=3).max(axis=(1, 2))])
+
+
+def _places(patches: Patches) -> Index:
+    """(n,) the place of each patch by the axis that it faces, and along Morton's curve."""
+    centres, normals = np.nan_to_num(patches.centres), patches.normals
+    low, size = centres.min(axis=0), max(np.ptp(centres, axis=0).max(), 1e-300)
+    cells = ((centres - low) / size * 1023).astype(np.int64)
+    code = np.zeros(len(cells), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    axis = np.abs(normals).argmax(axis=1)
+    facing = 2 * axis + (np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] > 0)
+    return np.argsort(np.argsort(facing << 30 | code, kind="stable"), kind="stable")
 
 
 def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
@@ -163,17 +156,6 @@ def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
         inside = ((others > low) & (others < high)).all(axis=1)
         hidden[ours] = not inside.any() if outward else inside.all()
     return hidden
-
-
-def _may_block(corners: Array, planes: Array) -> NDArray[np.bool_]:
-    """(f,) whether a face has vertices on both sides of its plane."""
-    vertices = np.unique(corners.reshape(-1, 3), axis=0)
-    both = np.empty(len(corners), dtype=bool)
-    for start in range(0, len(corners), 256):
-        some = slice(start, start + 256)
-        height = vertices @ planes[some, :3].T - planes[some, 3]
-        both[some] = (height < -_BEHIND).any(axis=0) & (height > _BEHIND).any(axis=0)
-    return both
 
 
 def _tasks(patch: Index) -> list[Index]:

@@ -4,26 +4,26 @@ The inner integral, from a point to what it sees of a polygon, is in closed form
 occluders is a set of convex pieces, over whose contours the form factor of a point is a sum [Sparrow 1963]. The outer
 one, over the other polygon, is a quadrature of triangles, which are divided where two rules differ.
 
-Lengths, sides and planes are those of ``contours``.
+Lengths and planes are those of ``exchange``.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from etendue.core import Array
+
+from .occluders import Index, Occluders
 
 #: What is this close to a plane through the point of sight is in it.
 _THIN = 1e-12
 #: Most pieces of a polygon, corners of a piece, and divisions of a triangle in a row.
 PIECES, CORNERS = 512, 24
 _DEPTH = 8
-#: A pair whose form factor without occluders is below this many tolerances is seen from one point.
-_FEW = 4.0
 #: Points of a triangle in barycentric coordinates: between the middle and the corners; near the corners, where a part
 #: may be hidden that is seen from the middle; and the middle. The first three with equal weights integrate parabolas,
 #: and so do the others with these.
@@ -32,36 +32,40 @@ _NODES = np.concatenate([1 / 6 + np.eye(3) / 2, (1 - _NEAR) / 3 + _NEAR * np.eye
 _WEIGHT = 1 / (12 * _NEAR**2)
 
 
+class Room(NamedTuple):
+    """Arrays that loops write over: planes of a hull, polygons that are cut, numbers of occluders, and pieces."""
+
+    hull: Array
+    clipped: Array
+    found: Index
+    chosen: Index
+    pieces: Array
+    sizes: Index
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def make_room(occluders: int) -> Room:
+    """For so many occluders."""
+    return Room(
+        np.empty((32, 4)),
+        np.empty((4, CORNERS, 3)),
+        np.empty(occluders, np.int64),
+        np.empty(occluders, np.int64),
+        np.empty((2, PIECES, CORNERS, 3)),
+        np.empty((2, PIECES), np.int64),
+    )
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def hidden_exchange(
-    p: Array,
-    of_p: Array,
-    q: Array,
-    of_q: Array,
-    faces: Array,
-    chosen: NDArray[np.int64],
-    count: int,
-    tolerance: float,
-    pieces: Array,
-    sizes: NDArray[np.int64],
-    work: Array,
+    p: Array, of_p: Array, q: Array, of_q: Array, occluders: Occluders, count: int, tolerance: float, room: Room
 ) -> tuple[float, float, bool]:
-    """A_p F_pq of two polygons with ``count`` of the ``faces`` between them, an estimate of its error, and whether it
-    could be computed: not with more than :data:`PIECES` pieces.
+    """A_p F_pq of two polygons with the first ``count`` chosen occluders between them, an estimate of its error, and
+    whether it could be computed: not with more than :data:`PIECES` pieces.
 
-    tolerance: of A F, at which triangles of the smaller polygon are no longer divided. pieces (2, PIECES, CORNERS, 3),
-    sizes (2, PIECES), work (4, CORNERS, 3): room.
+    tolerance: of A F, at which triangles of ``p`` are no longer divided.
     """
-    if polygon_area(p) > polygon_area(q):
-        p, of_p, q, of_q = q, of_q, p, of_p
     whole, point = polygon_area(p), np.zeros(3)
-    for i in range(len(p)):
-        for c in range(3):
-            point[c] += p[i, c] / len(p)
-    all_ = whole * _seen(point, of_p, q, of_q, faces, chosen, 0, pieces, sizes, work)
-    if all_ <= _FEW * tolerance:
-        seen = whole * _seen(point, of_p, q, of_q, faces, chosen, count, pieces, sizes, work)
-        return max(seen, 0.0), 0.25 * all_, seen >= 0.0
     stack, depth = np.empty((4 * _DEPTH + 8, 3, 3)), np.empty(4 * _DEPTH + 8, np.int64)
     total, error, top = 0.0, 0.0, 0
     for k in range(1, len(p) - 1):
@@ -77,7 +81,7 @@ def hidden_exchange(
         for k in range(7):
             for c in range(3):
                 point[c] = _NODES[k, 0] * t[0, c] + _NODES[k, 1] * t[1, c] + _NODES[k, 2] * t[2, c]
-            seen = _seen(point, of_p, q, of_q, faces, chosen, count, pieces, sizes, work)
+            seen = point_factor(point, of_p, q, of_q, occluders, count, room)
             if seen < 0.0:
                 return 0.0, 0.0, False
             if k < 3:
@@ -104,20 +108,9 @@ def hidden_exchange(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _seen(
-    x: Array,
-    of_p: Array,
-    q: Array,
-    of_q: Array,
-    faces: Array,
-    chosen: NDArray[np.int64],
-    count: int,
-    pieces: Array,
-    sizes: NDArray[np.int64],
-    work: Array,
-) -> float:
+def point_factor(x: Array, of_p: Array, q: Array, of_q: Array, occluders: Occluders, count: int, room: Room) -> float:
     """The form factor from a point in the plane ``of_p`` to what it sees of ``q``; -1 for too many pieces."""
-    shade, rest = work[0], work[1]
+    shade, rest, pieces, sizes = room.clipped[0], room.clipped[1], room.pieces, room.sizes
     now, made = 0, 1
     sizes[0, 0] = len(q)
     for i in range(len(q)):
@@ -127,14 +120,10 @@ def _seen(
     own = of_p[3] - (of_p[0] * x[0] + of_p[1] * x[1] + of_p[2] * x[2])
     far = of_q[3] - (of_q[0] * x[0] + of_q[1] * x[1] + of_q[2] * x[2])
     for k in range(count):
-        face = faces[chosen[k]]
-        corners = 0
-        for i in range(4):
-            if i == 3 and face[3, 0] == face[2, 0] and face[3, 1] == face[2, 1] and face[3, 2] == face[2, 2]:
-                break
+        corners = occluders.counts[room.chosen[k]]
+        for i in range(corners):
             for c in range(3):
-                shade[i, c] = face[i, c] - x[c]
-            corners += 1
+                shade[i, c] = occluders.polygons[room.chosen[k], i, c] - x[c]
         # What is behind the point's own plane, or behind the polygon, hides nothing.
         corners = cut(shade, corners, of_p[0], of_p[1], of_p[2], own + 1e-9, rest)
         corners = cut(rest, corners, of_q[0], of_q[1], of_q[2], far + 1e-9, shade)
@@ -142,7 +131,9 @@ def _seen(
             continue
         other, left = 1 - now, 0
         for m in range(made):
-            left = _without(pieces[now, m], sizes[now, m], shade, corners, pieces[other], sizes[other], left, work)
+            left = _without(
+                pieces[now, m], sizes[now, m], shade, corners, pieces[other], sizes[other], left, room.clipped
+            )
             if left < 0:
                 return -1.0
         now, made = other, left
@@ -197,7 +188,7 @@ def _is_open(shade: Array, count: int) -> bool:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _without(
-    piece: Array, size: int, shade: Array, count: int, result: Array, sizes: NDArray[np.int64], made: int, work: Array
+    piece: Array, size: int, shade: Array, count: int, result: Array, sizes: Index, made: int, clipped: Array
 ) -> int:
     """Append to ``result`` the convex pieces of a convex polygon outside of the cone from the origin through ``shade``;
     the new number of pieces, -1 if there are too many. Nothing is cut from a polygon outside of the cone."""
@@ -220,7 +211,7 @@ def _without(
                     result[made, m, c] = piece[m, c]
             sizes[made] = size
             return made + 1
-    rest, kept, left = work[2], work[3], size
+    rest, kept, left = clipped[2], clipped[3], size
     for m in range(size):
         for c in range(3):
             rest[m, c] = piece[m, c]
