@@ -167,8 +167,14 @@ def test_sensors_on_faces(caplog):
     assert factors[[0, 1, 2], [5, 1, 5]] == pytest.approx(opposite, abs=0.005)
     assert factors[[0, 1, 2], [4, 0, 4]].max() == 0 and not caplog.records
     for sensors, message in (
-        (Meters([[0.5, 0.5, 0]], [[0, 0, 1]], "spherical"), r"sensor 0 at \[0.5, 0.5, 0.0\] lies on face 4, which sees"),
-        (Meters([[0.5, 0.5, 0.5], [0.5, 0.5, 0]], [[1, 0, 1]], names=("a", "b")), r"sensor 1 \('b'\).* on face 4, whose"),
+        (
+            Meters([[0.5, 0.5, 0]], [[0, 0, 1]], "spherical"),
+            r"sensor 0 at \[0.5, 0.5, 0.0\] lies on face 4, which sees",
+        ),
+        (
+            Meters([[0.5, 0.5, 0.5], [0.5, 0.5, 0]], [[1, 0, 1]], names=("a", "b")),
+            r"sensor 1 \('b'\).* on face 4, whose",
+        ),
         (Meters([[0.5, 0, 0]], [[0, 0, 1]]), "on face 2, whose normal"),
     ):
         with pytest.raises(RadiosityError, match=message) as error:
