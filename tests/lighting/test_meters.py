@@ -29,7 +29,7 @@ def test_files(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    "text", ["0 0.5 1\n3 -1e-2 2,\n", "0 0.5 1 0 0 0\n3 -1e-2 2 0 1 1\n", "z,y,X\n1,.5,0\n2,-.01,3\n"]
+    "text", ["0,0.5,1\n3,-1e-2,2,\n", "0 0.5 1 0 0 0\n3 -1e-2 2 0 1 1\n", "z,y,X\n1,.5,0\n2,-.01,3\n"]
 )
 def test_spherical_meters_need_no_normals(tmp_path, text):
     path = tmp_path / "heads.pts"
