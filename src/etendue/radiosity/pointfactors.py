@@ -263,10 +263,8 @@ def _starts(scene: RayScene, meters: Meters, is_plane: bool) -> Array:
         if len(unclear := np.flatnonzero((cosine < _ALIKE) | (not is_plane))):
             k, number = sensor[unclear[0]], scene.patches.numbers[face[unclear[0]]]
             name = f" ('{meters.names[k]}')" if meters.names else ""
-            which = "which sees from one side of it" if not is_plane else "whose normal is not its own"
-            raise RadiosityError(
-                f"sensor {k}{name} at {meters.points[k].tolist()} lies on face {number}, {which}: move it off the face"
-            )
+            why = "is slanted to it" if is_plane else "would see from one side of it only"
+            raise RadiosityError(f"sensor {k}{name} at {_at(meters, k)} lies on face {number} and {why}: move it off")
         starts[sensor] = points[sensor] + 2 * _NEAR * meters.directions[sensor]
     return starts
 
@@ -287,5 +285,10 @@ def _warn_of_backs(found: PointFactors) -> None:
         logger.warning(
             "%d of %d sensors see backs of faces or obstacles, most of all sensor %d at %s (%.3g of what it sees): it "
             "lies in a solid, faces are turned the wrong way, or there are obstacles",
-            *(len(dark), len(found), k, found.meters.points[k].tolist(), found.dark[k]),
+            *(len(dark), len(found), k, _at(found.meters, k), found.dark[k]),
         )
+
+
+def _at(meters: Meters, k: int) -> list[float]:
+    """The place of a sensor, for messages."""
+    return list(np.round(meters.points[k], 6).tolist())
