@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     )
     from .verbs import (
         compute_form_factors as compute_form_factors,
+        compute_point_factors as compute_point_factors,
         daylight as daylight,
         map_particles as map_particles,
         measure as measure,

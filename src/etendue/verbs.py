@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     )
     from etendue.products.particles import MadeMap, ParticleResult
     from etendue.products.patches import FactorRun, SolutionRun
-    from etendue.radiosity import Sunlight
+    from etendue.radiosity import PointFactors, Sunlight
     from etendue.viewer import Viewer
 
 P = ParamSpec("P")
@@ -415,6 +415,49 @@ def sunlight(
     source = PatchSource(source=mesh, max_area=max_area, parameters=parameters)
     use_variant(variant)
     return make_sunlight(source, asked, save, logger.info, up=up, north=north, lines=lines, seed=seed)
+
+
+def compute_point_factors(
+    mesh: Any,
+    sensors: Meters | PathLike | ArrayLike,
+    normals: ArrayLike | None = None,
+    *,
+    up: str = "z",
+    rays: int | None = None,
+    groups: bool = False,
+    solution: PathLike | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variant: str | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+) -> PointFactors:
+    """View factors from sensors to the patches of a mesh, to the sky and to the ground, with standard errors.
+
+    mesh, max_area, parameters: as for :func:`compute_form_factors`.
+    sensors, normals: points (k, 3) and their normals (k, 3) or one for all, for plane sensors: F is the share of the
+        hemisphere around the normal, weighted by the cosine. Without normals sensors are spherical: F is the share of
+        all directions, 4 pi. Or :class:`etendue.lighting.Meters`; or a file of plane sensors, see
+        :meth:`etendue.lighting.Meters.read`.
+    up, rays: see :func:`etendue.radiosity.point_factors`; 8,192 rays for each sensor unless given.
+    groups: the factors of groups of patches instead of patches, as of :func:`compute_form_factors`.
+    solution: ``.npz`` of :func:`solve_radiosity` or :func:`solve_heat`, of the same patches: also the ``irradiance`` at
+        the sensors, with the ``irradiance_error`` by the rays.
+    save: ``.csv`` or ``.npz``, see :func:`etendue.radiosity.save_point_factors`.
+
+    The errors are those of :func:`compute_form_factors`, and :class:`etendue.lighting.LightingError` for sensors that
+    are not valid.
+    """
+    from etendue.products.patches import make_point_factors
+    from etendue.radiosity import PatchSource
+
+    in_a_file = isinstance(sensors, (str, os.PathLike))
+    quantity: Quantity = "spherical" if normals is None and not in_a_file else "irradiance"
+    placed = _meters(sensors, (0.0, 0.0, 1.0) if normals is None else normals, quantity)
+    source = PatchSource(source=mesh, max_area=max_area, parameters=parameters)
+    use_variant(variant)
+    options: Any = {"up": up, "seed": seed} | ({} if rays is None else {"rays": rays})
+    return make_point_factors(source, placed, save, logger.info, groups=groups, solution=solution, **options)
 
 
 def solve_heat(

@@ -153,6 +153,7 @@ def folder(tmp_path_factory, variant):
     )
     (path / "conditions.csv").write_text("group,temperature,flux\nfloor,310,\n*,,adiabatic\n")
     (path / "hours.csv").write_text("hour,floor:temperature\n9:00,300\n10:00,310\n")
+    etendue.solve_heat(path / "room.obj", path / "conditions.csv", bundles=8, save=path / "heat.npz")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
         meshio.write(path / f"{name}.vtu", meshio.Mesh(*triangle, cell_data=arrays))

@@ -28,6 +28,19 @@ def test_files(tmp_path, text):
     assert np.allclose(meters.directions, [[0, 0, 1], [0, 0.5**0.5, 0.5**0.5]])
 
 
+@pytest.mark.parametrize(
+    "text", ["0,0.5,1\n3,-1e-2,2,\n", "0 0.5 1 0 0 0\n3 -1e-2 2 0 1 1\n", "z,y,X\n1,.5,0\n2,-.01,3\n"]
+)
+def test_spherical_meters_need_no_normals(tmp_path, text):
+    path = tmp_path / "heads.pts"
+    path.write_text(text)
+    meters = Meters.read(path, "spherical")
+    assert np.allclose(meters.points, np.array(ROWS)[:, :3]) and meters.quantity == "spherical"
+    path.write_text("0 0 0\n1 2\n")
+    with pytest.raises(LightingError, match=r"line 2 .* it has x,y,z$"):
+        Meters.read(path, "spherical")
+
+
 def test_names(tmp_path):
     path = tmp_path / "meters.csv"
     path.write_text('name,x,y,z,nx,ny,nz\n"desk, left",0,0,1,0,0,1\n')
@@ -41,6 +54,7 @@ def test_names(tmp_path):
         ("x,y,z\n0,0,0\n", "not all of x,y,z,nx,ny,nz"),
         ("0 0 0 0 0 1\n1 2 3\n", "line 2"),
         ("0 0 0 0 0 1\n# a remark\n1 2 3 4 5 up\n", "line 3"),
+        ("7 0 0 0 0 0 1\n", "line 1"),  # of which numbers would be taken?
         ("0 0 0 0 0 0\n", "length 0"),
         ("nan 0 0 0 0 1\n", "number 0 is not finite"),
         ("0 0 0 0 0 1\n0 nan 0 0 0 1\n", "number 1 is not finite"),

@@ -41,6 +41,7 @@ from .measuring import DaylightCommand, MeasureCommand, daylight, measure
 from .particle_maps import app as particles
 from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
 from .pictures import PictureCommand, compare, demo, render, run
+from .sensors import point_factors
 from .sunshine import sunlight
 
 app = typer.Typer(
@@ -386,6 +387,7 @@ def points(
 
 app.command(cls=FactorCommand)(form_factors)
 app.command(cls=SolutionCommand)(radiosity)
+app.command()(point_factors)
 app.command()(sunlight)
 app.command()(heat)
 app.add_typer(particles, name="particles")

@@ -126,7 +126,7 @@ def measure(
 
     from .running import choose_device, default_name
 
-    meters = _meters(points, grid, cells, quantity)
+    meters = meters_of(points, grid, cells, quantity)
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
     limits = opt.limits(time, error, spp=spp)
     notes: list[str] = []
@@ -245,7 +245,7 @@ def daylight(
     for name, value in {"max_area": max_area, **mesh}.items():
         if value not in (None, False):
             raise OptionError(f"--{name.replace('_', '-')} is for --surfaces; leave it out")
-    meters = _meters(points, grid, cells, "irradiance")
+    meters = meters_of(points, grid, cells, "irradiance")
     console = error_console()
     found = locate(scene, lambda text: note(console, text))
     year = None if weather is None else read_epw(weather)
@@ -262,7 +262,7 @@ def daylight(
     return outcome.exit_code
 
 
-def _meters(points: Path | None, grid: str | None, cells: opt.Size | None, quantity: Any) -> Meters:
+def meters_of(points: Path | None, grid: str | None, cells: opt.Size | None, quantity: Any) -> Meters:
     """The meters of the options. Raises :class:`OptionError`."""
     from etendue.lighting import Meters
 

@@ -233,7 +233,8 @@ def form_factors(
     """Compute the form factors (view factors) of a mesh or scene, each face a patch, by lines through all of it.
 
     The front of a face is the side from which its corners are counterclockwise. Stops at the first of --bundles, --time
-    and --error that is reached, or by Ctrl-C, and writes the form factors from the lines so far.
+    and --error that is reached, or by Ctrl-C, and writes the form factors from the lines so far. Those of points:
+    `etendue point-factors`.
     """
     from etendue.products.patches import FactorRun, without_hierarchy
 

@@ -22,6 +22,7 @@ Quantity = Literal["irradiance", "radiance", "cylindrical", "spherical"]
 QUANTITIES: tuple[Quantity, ...] = ("irradiance", "radiance", "cylindrical", "spherical")
 #: Numbers of a meter: a point and a direction.
 _COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
+_UP = np.array([[0.0, 0.0, 1.0]])
 _SEPARATORS = re.compile(r"[,;\s]+")
 
 
@@ -115,7 +116,8 @@ class Meters:
         semicolons or blanks, as in Radiance's files of sensors. Lines that begin with ``#`` are left out.
 
         A first line of names has ``x,y,z,nx,ny,nz`` in any order, and perhaps ``name``; other columns are ignored.
-        Raises :class:`LightingError`, with the line, for anything else.
+        ``spherical`` meters need x, y, z only, and face up. Raises :class:`LightingError`, with the line, for anything
+        else.
         """
         try:
             text = path.read_text("utf-8-sig")
@@ -126,25 +128,28 @@ class Meters:
         if not lines:
             raise LightingError(f"'{path}' has no meters; a line is x,y,z,nx,ny,nz")
         heads = [word.lower() for word in _words(lines[0][1])]
-        named = set(_COLUMNS) <= set(heads)
+        needed = _COLUMNS[:3] if quantity == "spherical" else _COLUMNS
+        named = set(needed) <= set(heads)
         if named:
             lines = lines[1:]
         elif any(word.isalpha() and word not in ("nan", "inf") for word in heads):
-            raise LightingError(f"the first line of '{path}' names columns, but not all of {','.join(_COLUMNS)}")
-        columns = [heads.index(name) for name in _COLUMNS] if named else list(range(6))
+            raise LightingError(f"the first line of '{path}' names columns, but not all of {','.join(needed)}")
+        columns = [heads.index(name) for name in needed] if named else list(range(len(needed)))
         rows, names = [], []
         for number, line in lines:
             words = _words(line)
             try:
+                if not named and len(_words(line.rstrip(" \t,;"))) not in (len(needed), len(_COLUMNS)):
+                    raise ValueError
                 rows.append([float(words[k]) for k in columns])
                 if named and "name" in heads:
                     names.append(words[heads.index("name")])
             except (IndexError, ValueError):
                 raise LightingError(
-                    f"line {number} of '{path}' is no meter: {line.strip()[:40]!r}; it has x,y,z,nx,ny,nz"
+                    f"line {number} of '{path}' is no meter: {line.strip()[:40]!r}; it has {','.join(needed)}"
                 ) from None
-        found = np.array(rows).reshape(-1, 6)
-        return cls(found[:, :3], found[:, 3:], quantity, tuple(names))
+        found = np.array(rows).reshape(-1, len(needed))
+        return cls(found[:, :3], found[:, 3:] if len(needed) > 3 else _UP, quantity, tuple(names))
 
 
 def _words(line: str) -> list[str]:

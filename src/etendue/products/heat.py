@@ -22,6 +22,8 @@ from .files import PathLike, check_files, listed
 _SUFFIXES = (".csv", ".npz", ".vtu")
 #: Columns of a group.
 _COLUMNS = ("area", "temperature", "lowest", "highest", "heat", "flux")
+#: Share of the surroundings in what patches see, above which a mesh is open.
+_OPEN = 1e-9
 
 
 @dataclass(repr=False)
@@ -67,12 +69,23 @@ class HeatResult:
         elif path.suffix.lower() == ".npz":
             of_groups = {f"group_{name}": values for name, values in self.table().items()}
             names = {"names": np.array(self.names, dtype=str), "cases": np.array(self.cases, dtype=str)}
-            save_arrays(path, self._of_patches() | of_groups | names | {"group": self.group}, {})
+            patches = self.balance.patches
+            place = {"group": self.group, "areas": patches.areas, "centres": patches.centres, "sky": self._sky}
+            save_arrays(path, self._of_patches() | of_groups | names | place, {})
         else:
             patches = self.balance.patches
             corners, patch = face_sides(patches)
             cells = self._of_patches() | {"patch": np.arange(len(patches)), "face": patches.face}
             write_mesh(path, "vtu", patches.vertices, corners, {}, {name: v[patch] for name, v in cells.items()})
+
+    @property
+    def _sky(self) -> Array:
+        """(c,) radiosity of the surroundings, from the heat that they receive; 0 of a closed mesh."""
+        areas, found = self.balance.patches.areas, self.balance
+        outward = areas * self.factors.outside
+        sent, whole = outward @ found.radiosity - found.to_sky, outward.sum()
+        seen: Array = sent / whole if whole > _OPEN * areas.sum() else np.zeros_like(sent)
+        return np.maximum(seen, 0.0)
 
     def _of_patches(self) -> dict[str, Any]:
         found = self.balance

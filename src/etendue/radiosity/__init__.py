@@ -87,6 +87,11 @@ from .files.factorfiles import (
     save_form_factors as save_form_factors,
 )
 from .files.netcdf import read_segments as read_segments, save_segments as save_segments
+from .files.pointfiles import (
+    check_point_file as check_point_file,
+    read_light as read_light,
+    save_point_factors as save_point_factors,
+)
 from .files.results import (
     SOLUTION_FILES as SOLUTION_FILES,
     check_file as check_file,
@@ -147,6 +152,7 @@ from .lines.local import LocalRays as LocalRays
 from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as with_local_rays
 from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
+from .pointfactors import PointFactors as PointFactors, point_factors as point_factors
 from .pointviews import PointViews as PointViews, point_views as point_views
 from .problem import PatchProblem as PatchProblem
 from .solvers.daylight import daylight_of_patches as daylight_of_patches

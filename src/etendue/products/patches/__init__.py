@@ -6,6 +6,7 @@ from .factors import FormFactorProduct as FormFactorProduct
 from .gathering import picture as picture
 from .illuminance import illuminance_text as illuminance_text
 from .saved import write_saved as write_saved
+from .sensors import make_point_factors as make_point_factors
 from .solution_files import (
     ERROR_SCALE as ERROR_SCALE,
     SolutionFiles as SolutionFiles,
