@@ -5,34 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.sparse import csr_array
+from support.patches import factors_of, squares
 
 from etendue.radiosity import (
     STEFAN_BOLTZMANN as SIGMA,
     Conditions,
-    FormFactors,
-    Patches,
     RadiosityError,
     heat_balance,
 )
-
-
-def squares(*areas):
-    """Flat squares of these areas, side by side: only their areas matter beside given factors."""
-    corners, faces = [], []
-    for k, area in enumerate(areas):
-        side, x = np.sqrt(area), 10.0 * k
-        corners += [(x, 0, 0), (x + side, 0, 0), (x + side, side, 0), (x, side, 0)]
-        faces.append([4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3])
-    return Patches(np.array(corners, float), faces)
-
-
-def factors_of(patches, matrix):
-    matrix = np.asarray(matrix, float)
-    f = csr_array(matrix)
-    sky = np.clip(1 - matrix.sum(axis=1), 0, 1)
-    return FormFactors(f, f * 0, sky, patches.areas, np.ones(len(patches)))
-
 
 PLATES = [[0, 1], [1, 0]]
 

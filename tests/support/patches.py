@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from etendue.radiosity import Patches, box, joined
+from etendue.radiosity import FormFactors, Patches, box, joined
 
 BOXES = (
     ((0.12, 0.15, 0.1), (0.42, 0.4, 0.55)),
@@ -39,6 +40,24 @@ def parallel_squares():
 def perpendicular_squares():
     """Unit squares with a common edge."""
     return joined(square((0, 0, 0), (1, 0, 0), (0, 1, 0)), square((0, 0, 0), (0, 1, 0), (0, 0, 1))), adjacent(1, 1)
+
+
+def squares(*areas):
+    """Flat squares of these areas, side by side: only their areas matter beside given factors."""
+    corners, faces = [], []
+    for k, area in enumerate(areas):
+        side, x = np.sqrt(area), 10.0 * k
+        corners += [(x, 0, 0), (x + side, 0, 0), (x + side, side, 0), (x, side, 0)]
+        faces.append([4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3])
+    return Patches(np.array(corners, float), faces)
+
+
+def factors_of(patches, matrix):
+    """Given form factors; what is missing in their rows is the sky."""
+    matrix = np.asarray(matrix, float)
+    f = csr_array(matrix)
+    sky = np.clip(1 - matrix.sum(axis=1), 0, 1)
+    return FormFactors(f, f * 0, sky, patches.areas, np.ones(len(patches)))
 
 
 def discs(sides=256):
