@@ -88,9 +88,9 @@ def test_a_crater():
 
 def test_surroundings_warm_an_open_plate():
     patches = squares(2)
-    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5), surroundings=[250.0, 300.0])
+    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5, surroundings=[250.0, 300.0]))
     np.testing.assert_allclose(made.temperature, [[250, 300]])
-    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5, flux=100), surroundings=250)
+    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5, flux=100, surroundings=250))
     assert made.temperature[0, 0] == pytest.approx((250**4 + 100 / 0.5 / SIGMA) ** 0.25)
     assert made.heat[0, 0] == pytest.approx(200) and made.to_sky[0] == pytest.approx(200)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,12 @@ from ..errors import RadiosityError
 from ..heat import Conditions
 
 #: Columns of numbers; ``power`` is a flux times the area of the group. Those that loads may change come first.
-_LOADS = ("temperature", "flux", "power", "ambient")
-_COLUMNS = (*_LOADS, "conductance", "emissivity")
+_LOADS = ("temperature", "flux", "power", "ambient", "conductance")
+_COLUMNS = (*_LOADS, "emissivity")
+#: Column of groups whose patches have one temperature, and its values; and of loads, the temperature of the sky.
+_JOINT, _ANSWERS, _SKY = "isothermal", {"yes": True, "no": False, "": False}, "surroundings"
+#: Columns that become conditions of patches as they are.
+_OF_PATCHES = ("temperature", "flux", "conductance", "ambient")
 #: The row of all groups without one of their own.
 _OTHERS = "*"
 
@@ -29,32 +34,43 @@ def read_conditions(
 
     path: a table with the columns ``group`` and some of ``temperature`` (K), ``flux`` (W/m^2, or ``adiabatic``),
     ``power`` (W of the whole group), ``conductance`` (W/(m^2 K)), ``ambient`` (K) and ``emissivity`` (by default that
-    of the mesh, one minus its reflectance; 1 of coloured patches). The group ``*`` is every other one.
-    loads: a table of cases, such as hours: the first column names them, and ``GROUP:COLUMN`` takes the place of a
-    number of the other table.
+    of the mesh, one minus its reflectance; 1 of coloured patches). In place of it, columns such as ``emissivity:0-4``
+    and ``emissivity:4-inf`` are of bands of wavelengths in micrometres. ``isothermal`` (yes or no): whether the patches
+    of the group have one temperature, as of a good conductor. The group ``*`` is every other one.
+    loads: a table of cases, such as hours: the first column names them, ``GROUP:COLUMN`` takes the place of a number of
+    the other table, but for emissivities, and ``surroundings`` is the temperature of the sky.
 
     Raises :class:`RadiosityError` for groups that are not there or have no condition, and for what is no number.
     """
     heads, rows = _table(path)
     if not heads or heads[0].lower() != "group":
         raise RadiosityError(f"{path}: the first column is 'group', not '{heads[0] if heads else ''}'")
-    for head in heads[1:]:
-        if head.lower() not in _COLUMNS:
-            raise RadiosityError(f"{path} has a column '{head}'; {suggest(head.lower(), _COLUMNS)}")
+    heads = [head.lower() for head in heads]
+    bands = [head for head in heads if head.startswith("emissivity:")]
+    for k, head in enumerate(heads[1:], 1):
+        if head not in (*_COLUMNS, *bands, _JOINT):
+            raise RadiosityError(f"{path} has a column '{head}'; {suggest(head, (*_COLUMNS, _JOINT))}")
+        if head in heads[:k]:
+            raise RadiosityError(f"{path} has two columns '{head}'")
+    edges = _edges(path, bands, "emissivity" in heads)
     found: dict[str, dict[str, float]] = {}
+    joint: dict[str, bool] = {}
     for number, row in rows:
         name = row[0]
         if name != _OTHERS and name not in names:
             raise RadiosityError(f"{path}, line {number}: there is no group '{name}'; {suggest(name, names)}")
         if name in found:
             raise RadiosityError(f"{path}, line {number}: group '{name}' has a row above, too")
-        pairs = zip(heads[1:], row[1:], strict=True)
-        found[name] = {head.lower(): _number(path, number, head, cell) for head, cell in pairs if cell}
+        cells = dict(zip(heads[1:], row[1:], strict=True))
+        if (answer := cells.pop(_JOINT, "").lower()) not in _ANSWERS:
+            raise RadiosityError(f"{path}, line {number}: {_JOINT} is 'yes' or 'no', not '{answer}'")
+        joint[name] = _ANSWERS[answer]
+        found[name] = {head: _number(path, number, head, cell) for head, cell in cells.items() if cell}
     if lacking := [name for name in names if name not in found and _OTHERS not in found]:
         raise RadiosityError(f"{path} has no row of group '{lacking[0]}'; give it one, or '*' for all others")
     table = [{**found.get(name, found.get(_OTHERS, {}))} for name in names]
-    cases, changes = ([""], {}) if loads is None else _loads(loads, names)
-    values = {column: np.full((len(names), len(cases)), np.nan) for column in _COLUMNS}
+    cases, changes, sky = ([""], {}, None) if loads is None else _loads(loads, names)
+    values = {column: np.full((len(names), len(cases)), np.nan) for column in (*_COLUMNS, *bands)}
     for g, known in enumerate(table):
         for column, value in known.items():
             values[column][g] = value
@@ -65,10 +81,36 @@ def read_conditions(
     _check(path, names, values)
     for column in ("flux", "conductance", "ambient"):
         values[column] = np.nan_to_num(values[column])
-    of_patches = {name: values[name][group] for name in Conditions.__dataclass_fields__}
+    of_patches: dict[str, Any] = {column: values[column][group] for column in _OF_PATCHES}
     own = 1 - patches.reflectance if patches.channels == 1 else np.ones((len(patches), 1))
-    of_patches["emissivity"] = np.where(np.isnan(of_patches["emissivity"]), own, of_patches["emissivity"])
-    return Conditions(**of_patches), cases
+    emissivity = values["emissivity"] if not bands else np.stack([values[band][:, 0] for band in bands], axis=1)
+    of_patches["emissivity"] = np.where(np.isnan(emissivity[group]), own, emissivity[group])
+    if any(joint.values()):
+        is_joint = np.array([joint.get(name, joint.get(_OTHERS, False)) for name in names])
+        of_patches["nodes"] = np.where(is_joint[group], group, -1)
+    return Conditions(**of_patches, edges=edges, surroundings=0.0 if sky is None else sky), cases
+
+
+def _edges(path: Path, bands: list[str], is_grey: bool) -> Array | None:
+    """Edges in metres of the bands of columns such as ``emissivity:0-4``, in ascending order; ``None`` without any."""
+    if not bands:
+        return None
+    if is_grey:
+        raise RadiosityError(f"{path} has a column 'emissivity' and others of bands: give one or the other")
+    limits = []
+    for band in bands:
+        low, _, high = band.partition(":")[2].partition("-")
+        try:
+            limits.append((float(low), float(high)))
+        except ValueError:
+            raise RadiosityError(f"{path}: '{band}' is no band in micrometres, as emissivity:0-4") from None
+    limits_of = dict(zip(bands, limits, strict=True))
+    bands.sort(key=limits_of.__getitem__)
+    limits.sort()
+    edges = [low for low, _ in limits] + [limits[-1][1]]
+    if any(low != high for (_, high), low in zip(limits, edges[1:], strict=True)) or edges[0] != 0 or edges[-1] < np.inf:
+        raise RadiosityError(f"{path}: bands join each other from 0 to inf, as emissivity:0-4 and emissivity:4-inf")
+    return np.array(edges) * 1e-6
 
 
 def _check(path: Path, names: Sequence[str], values: dict[str, Array]) -> None:
@@ -88,26 +130,38 @@ def _check(path: Path, names: Sequence[str], values: dict[str, Array]) -> None:
                 raise RadiosityError(f"{where} has no {column} in case {int(np.isnan(values[column][g]).argmax()) + 1}")
 
 
-def _loads(path: Path, names: Sequence[str]) -> tuple[list[str], dict[tuple[int, str], Array]]:
-    """Names of cases, and numbers (c,) by the number of a group and a column."""
+def _loads(path: Path, names: Sequence[str]) -> tuple[list[str], dict[tuple[int, str], Array], Array | None]:
+    """Names of cases, numbers (c,) by the number of a group and a column, and temperatures of the sky (c,), if any."""
     heads, rows = _table(path)
     if not rows:
         raise RadiosityError(f"{path} has no rows")
-    changes = {}
+    lines_of: dict[str, int] = {}
+    for line, row in rows:
+        if not row[0]:
+            raise RadiosityError(f"{path}, line {line}: a case has no name in the first column")
+        if row[0] in lines_of:
+            raise RadiosityError(f"{path}, line {line}: case '{row[0]}' is in line {lines_of[row[0]]}, too")
+        lines_of[row[0]] = line
+    changes, sky = {}, None
     for k, head in enumerate(heads[1:], 1):
         name, _, column = head.rpartition(":")
         column = column.strip().lower()
-        if name not in names:
+        if column != _SKY and name not in names:
             raise RadiosityError(f"{path}: column '{head}' is no GROUP:COLUMN of a group; {suggest(name, names)}")
-        if column not in _LOADS:
+        if column not in (_LOADS if name else (_SKY,)):
             raise RadiosityError(f"{path}: column '{head}' must end in {', '.join(_LOADS)}")
         numbers = []
         for line, row in rows:
             if not row[k]:
                 raise RadiosityError(f"{path}, line {line}: column '{head}' has no number")
             numbers.append(_number(path, line, column, row[k]))
+        if not name:
+            sky = np.array(numbers)
+            continue
+        if (names.index(name), column) in changes:
+            raise RadiosityError(f"{path} has two columns '{head}'")
         changes[names.index(name), column] = np.array(numbers)
-    return [row[0] for _, row in rows], changes
+    return list(lines_of), changes, sky
 
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

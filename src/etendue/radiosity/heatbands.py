@@ -1,0 +1,179 @@
+"""The balance of heat where unknown temperatures join wavelength bands, or several patches. Arrays are (n, c, b):
+patches, cases, bands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array
+from etendue.surfaces import STEFAN_BOLTZMANN, Patches, band_shares
+
+from .errors import RadiosityError
+from .solvers.absorption import absorbed
+from .solvers.system import Transport
+
+#: Newton's steps at most; the change of a temperature, relative, after which they end; and the residual of GMRES.
+_STEPS, _SETTLED, _RESIDUAL = 100, 1e-9, 1e-12
+#: Relative step of the numerical derivative of a band's emission.
+_STEP = 1e-4
+#: A temperature in kelvin from which a patch without any other hint starts, and one that is none.
+_WARM, _COLD = 300.0, 1e-3
+
+
+def check_edges(edges: ArrayLike) -> Array:
+    """Edges of bands (b + 1,), in metres. Raises :class:`RadiosityError` unless they ascend from 0 to infinity."""
+    limits = np.asarray(edges, dtype=np.float64)
+    if limits.ndim != 1 or len(limits) < 2 or limits[0] != 0 or not np.isinf(limits[-1]):
+        raise RadiosityError("bands of heat cover all wavelengths: the first begins at 0, the last ends at infinity")
+    if not (np.diff(limits[:-1]) > 0).all() or np.isinf(limits[:-1]).any():
+        raise RadiosityError("edges of bands ascend")
+    return limits
+
+
+def emitted(temperatures: Array, edges: ArrayLike | None) -> Array:
+    """(..., b) power per area of black bodies of these temperatures in the bands; one band without edges."""
+    whole = STEFAN_BOLTZMANN * temperatures[..., None] ** 4
+    if edges is None:
+        return np.asarray(whole, np.float64)
+    # Many patches have the same temperature.
+    known, place = np.unique(temperatures, return_inverse=True)
+    return np.asarray(band_shares(known, edges)[place.reshape(temperatures.shape)] * whole, np.float64)
+
+
+def in_channels(values: Array, shape: tuple[int, ...]) -> Array:
+    """Channels (n, c b) as (n, c, b)."""
+    return values.reshape(shape)
+
+
+class Nodes:
+    """Patches that have one temperature together: those of equal numbers (n,) of at least 0. ``None``: no two have."""
+
+    def __init__(self, numbers: ArrayLike | None, areas: Array) -> None:
+        n = len(areas)
+        own = np.arange(n)
+        if numbers is None:
+            self.shared = np.zeros(n, dtype=bool)
+            self._node = own
+        else:
+            given = np.asarray(numbers)
+            if given.shape != (n,) or given.dtype.kind not in "iu":
+                raise RadiosityError(f"nodes are whole numbers, one for each of {n} patches, not {given.shape}")
+            _, inverse, members = np.unique(
+                np.where(given < 0, given.max() + 1 + own, given), return_inverse=True, return_counts=True
+            )
+            self._node = inverse.reshape(-1)
+            self.shared = members[self._node] > 1
+        whole = np.bincount(self._node, areas)
+        self._weights = areas / np.where(whole > 0, whole, 1.0)[self._node]
+
+    def mean(self, values: Array) -> Array:
+        """(n, c) means over the area of each node; of patches of their own the values as they are."""
+        if not self.shared.any():
+            return values
+        sums = np.stack([np.bincount(self._node, self._weights * column) for column in values.T], axis=1)
+        return np.where(self.shared[:, None], sums[self._node], values)
+
+
+def joint_balance(
+    patches: Patches,
+    transport: Transport,
+    linear: Callable[[Array, Array, Array], tuple[Array, Array]],
+    edges: Array | None,
+    nodes: Nodes,
+    e: Array,
+    t: Array,
+    q: Array,
+    h: Array,
+    ambient: Array,
+    sky: Array,
+) -> tuple[Array, Array, int]:
+    """Temperatures (n, c) and radiosities (n, c, b) of patches with emissivities ``e`` (n, c, b), and Newton's steps.
+
+    linear: radiosity and irradiance in channels, of reflectance, emission and sky. sky: (c, b). The other arguments are
+    (n, c), see :class:`Conditions`.
+
+    The emission of a band, p(T), is convex in T, so that Newton's steps for the balances of all patches end above the
+    solution and descend to it, however far they begin. In each step, T = T' + d is eliminated:
+
+        d = (q + h (ambient - T') - sum_b e_b (p_b - G_b)) / (sum_b e_b dp_b/dT + h),
+
+    with the means of both over the patches of a node.
+    """
+    shape, given = e.shape, ~np.isnan(t)
+    if given.all():
+        emission = e * emitted(t, edges)
+        channels = (x.reshape(len(patches), -1) for x in (1 - e, emission))
+        return t, linear(*channels, sky.ravel())[0].reshape(shape), 1
+    _check_ends(patches, transport, nodes, e, given, q, h)
+    lost = ~given & (nodes.mean(e.sum(axis=-1) + h) == 0)  # without any temperature
+    found = ~given & ~lost
+    hottest = max(_WARM, np.nan_to_num(t).max(), ambient.max(), (np.abs(q).max() / STEFAN_BOLTZMANN) ** 0.25)
+    temperature = np.where(given, t, hottest)
+    arrived = np.zeros(shape)
+    for step in range(1, _STEPS + 1):
+        own = e * emitted(temperature, edges)
+        slope = np.where(found[..., None], e * _slopes(temperature, edges), 0.0)
+        inertia = np.where(found, nodes.mean(slope.sum(axis=-1) + h), 1.0)
+        missing = np.where(found, nodes.mean(q + h * (ambient - temperature) - own.sum(axis=-1)), 0.0)
+        own = np.where(lost[..., None], 0.0, own)
+        gain = slope / inertia[..., None]
+        arrived = _gmres(transport, nodes, own + gain * missing[..., None], gain, e, sky, arrived)
+        change = np.where(found, (missing + nodes.mean((e * arrived).sum(axis=-1))) / inertia, 0.0)
+        after = np.clip(temperature + change, temperature / 2, 2 * temperature)
+        moved = np.abs(after - temperature).max()
+        temperature = after
+        if (cold := np.flatnonzero((found & (temperature < _COLD)).any(axis=1))).size:
+            raise RadiosityError(
+                f"patch {cold[0]} would have to be colder than 0 K to take up the heat flux that it is given"
+            )
+        if moved <= _SETTLED * temperature[found].max(initial=1.0):
+            own = e * emitted(temperature, edges)
+            radiosity = np.where(lost[..., None], 0.0, own) + (1 - e) * arrived
+            return np.where(lost, np.nan, temperature), radiosity, step
+    raise RadiosityError(
+        f"temperatures still change by {moved:.2g} K after {_STEPS} steps: look for conductances and emissivities that "
+        "are far too small or too large"
+    )
+
+
+def _slopes(temperature: Array, edges: Array | None) -> Array:
+    """Derivatives of the emission of black bodies."""
+    warm, cold = (emitted(temperature * (1 + sign * _STEP), edges) for sign in (1, -1))
+    return np.asarray((warm - cold) / np.maximum(2 * _STEP * temperature, 1e-300)[..., None], np.float64)
+
+
+def _gmres(
+    transport: Transport, nodes: Nodes, emission: Array, gain: Array, e: Array, sky: Array, start: Array
+) -> Array:
+    """The irradiance G of the bands with radiosities emission + (1 - e) G + gain mean(sum(e G)) [Saad 1986]."""
+    from scipy.sparse.linalg import LinearOperator, gmres
+
+    shape = emission.shape
+    dark = np.zeros(sky.size)
+
+    def gather(values: Array, light: Array) -> Array:
+        return in_channels(transport.gather(values.reshape(shape[0], -1), light), shape)
+
+    def system(flat: Array) -> Array:
+        g = flat.reshape(shape)
+        taken = nodes.mean((e * g).sum(axis=-1))
+        return (g - gather((1 - e) * g + gain * taken[..., None], dark)).ravel()
+
+    right = gather(emission, sky.ravel()).ravel()
+    operator = LinearOperator((right.size, right.size), matvec=system, dtype=np.float64)
+    found, failed = gmres(operator, right, x0=start.ravel(), rtol=_RESIDUAL, restart=60, maxiter=20)
+    if failed and np.abs(system(found) - right).max() > 1e-6 * np.abs(right).max():
+        raise RadiosityError("the exchange in bands does not converge: almost nothing absorbs, or heat cannot leave")
+    return np.asarray(found.reshape(shape), np.float64)
+
+
+def _check_ends(
+    patches: Patches, transport: Transport, nodes: Nodes, e: Array, given: NDArray[np.bool_], q: Array, h: Array
+) -> None:
+    """Raise :class:`RadiosityError` if heat can leave by no patch; by one of a node, it reaches the others."""
+    leaves = given | (h > 0) | nodes.shared[:, None]
+    reflectance = np.where(given, 1 - e.max(axis=-1), np.where(leaves, 0.0, 1.0))
+    absorbed(patches.with_properties(reflectance, np.where(leaves, 1.0, np.abs(q))), transport)
