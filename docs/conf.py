@@ -51,7 +51,7 @@ python_maximum_signature_line_length = 100
 
 html_theme = "furo"
 html_title = "étendue"
-html_static_path = ["_static"]
+html_static_path: list[str] = []
 html_theme_options = {"source_repository": "", "navigation_with_keys": True}
 html_show_sphinx = False
 html_copy_source = False

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         resume as resume,
         solve_heat as solve_heat,
         solve_radiosity as solve_radiosity,
+        sunlight as sunlight,
         trace_particles as trace_particles,
         view as view,
     )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from etendue.engine import Checkpoint, Session, Task
-    from etendue.lighting import Meters, Quantity, Weather
+    from etendue.lighting import Meters, Quantity, Suns, Weather
     from etendue.particles import Particles
     from etendue.products import (
         Callback,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from etendue.products.particles import MadeMap, ParticleResult
     from etendue.products.patches import FactorRun, SolutionRun
+    from etendue.radiosity import Sunlight
     from etendue.viewer import Viewer
 
 P = ParamSpec("P")
@@ -171,12 +172,15 @@ def measure(
 @_verb
 def daylight(
     scene: Any,
-    meters: Meters | PathLike | ArrayLike,
+    meters: Meters | PathLike | ArrayLike | None = None,
     directions: ArrayLike = (0.0, 0.0, 1.0),
     weather: Weather | PathLike | None = None,
     *,
+    surfaces: bool = False,
+    max_area: float | None = None,
     seconds: float | None = None,
     spp: int | None = None,
+    bundles: int | None = None,
     error: float | None = None,
     seed: int = 0,
     parameters: Mapping[str, Any] | None = None,
@@ -188,14 +192,18 @@ def daylight(
     wait: bool = True,
     **settings: Any,
 ) -> DaylightResult:
-    """Daylight coefficients of meters: what each patch of the sky contributes, through openings and by reflections. The
-    scene needs no lamp, and its own have no effect.
+    """Daylight coefficients of meters, or of surfaces: what each patch of the sky contributes, through openings and by
+    reflections. The scene needs no lamp, and its own have no effect.
 
     meters, directions: as for :func:`measure`.
+    surfaces: in place of meters, all patches of ``scene``, which is then as for :func:`compute_form_factors`, with
+        ``max_area``; by lines and one radiosity solution, with ``bundles`` of lines (16 to 32 for each patch of the sky
+        without limits). The result's ``meters`` are the centres of the patches. All materials are diffuse.
     weather: :class:`etendue.lighting.Weather` or an EPW file; the result then has the illuminance of all hours of the
         year, daylight autonomy, useful daylight illuminance and the level of EN 17037.
     seconds, spp, error: limits, of which the first that is reached ends the run: time, paths of each meter (65,536
-        without limits), and the relative standard error of the irradiance by a uniform sky.
+        without limits), and the relative standard error of the irradiance by a uniform sky; of surfaces, the standard
+        error of a row of form factors.
     save: ``.mtx``, coefficients for Radiance's ``dctimestep``; ``.npz``, all arrays; ``.csv``, with weather, the
         metrics of each meter.
     settings: ``patches``, ``up``, ``north`` and ``max_depth``, see :class:`etendue.methods.SkySettings`.
@@ -205,9 +213,23 @@ def daylight(
     from etendue.engine import Task
     from etendue.lighting import Weather, read_epw
     from etendue.methods import SkyTracing
-    from etendue.products import Daylight, budget_of
+    from etendue.products import Daylight, budget_of, listed
     from etendue.scene import SceneSource
 
+    if (meters is None) != surfaces:
+        raise OptionError("daylight is that of meters or of surfaces: give points, or surfaces=True")
+    if meters is None:
+        from etendue.products.patches import daylight_run
+
+        limits = {"seconds": seconds, "spp": spp, "error": error, "bundles": bundles}
+        asked: dict[str, Any] = {"source": scene, "max_area": max_area, "parameters": parameters, "seed": seed}
+        run = daylight_run(settings, limits=limits, weather=weather, outputs=listed(save), **asked)
+        task = run.task()
+        use_variant(variant)
+        return cast("DaylightResult", _run(task, callback, cluster, workers, wait))
+    for name, value in (("bundles", bundles), ("max_area", max_area)):
+        if value is not None:
+            raise OptionError(f"{name} is for surfaces: give surfaces=True, or leave it out")
     placed = _meters(meters, directions, "irradiance")
     year = weather if weather is None or isinstance(weather, Weather) else read_epw(weather)
     product = Daylight.of(placed, year, save)
@@ -303,7 +325,8 @@ def compute_form_factors(
     mesh: :class:`etendue.radiosity.Patches`, the path of a mesh file, or a Mitsuba scene in any form that
         :func:`render` takes. Each face is a patch; faces larger than ``max_area`` are subdivided.
     method: ``lines`` through the whole scene; ``spheres``, lines in spheres around ``objects`` and in the whole scene;
-        or ``exact``, by integrals, for surfaces that hide nothing from each other. ``settings`` are those of the
+        ``exact``, by integrals, see :func:`etendue.radiosity.exact_form_factors`; or ``auto``, exact for up to 1,500
+        patches unless something is asked for that only lines have. ``settings`` are those of the
         method, see ``etendue methods lines``.
     estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
         default F1, or F4 with ``spheres``.
@@ -354,6 +377,46 @@ def compute_form_factors(
     return _run_on_patches(run, compute_form_factors, settings, variant, callback, cluster, workers, wait)
 
 
+def sunlight(
+    mesh: Any,
+    suns: Suns | Weather | PathLike | ArrayLike,
+    *,
+    up: str = "z",
+    north: float = 0.0,
+    lines: float | None = None,
+    max_area: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variant: str | None = None,
+    save: PathLike | Sequence[PathLike] = (),
+) -> Sunlight:
+    """The sunlit share of each patch and its direct irradiance, for a list of suns.
+
+    mesh, max_area, parameters: as for :func:`compute_form_factors`.
+    suns: :class:`etendue.lighting.Suns` (directions with their irradiances, of times at a place, or of hours of
+        weather), :class:`etendue.lighting.Weather` or an EPW file (all hours with direct light), a table of suns
+        (:meth:`etendue.lighting.Suns.read`), or vectors towards them (k, 3), x east, y north, z up, of 1 W/m^2.
+    up, north, lines: see :func:`etendue.radiosity.sunlight`.
+    save: ``.csv``, ``.npz`` or ``.nc``, see :func:`etendue.radiosity.save_sunlight`.
+
+    The errors are those of :func:`compute_form_factors`, and :class:`etendue.lighting.LightingError` for suns that are
+    not valid.
+    """
+    from etendue.lighting import Suns, Weather, read_epw
+    from etendue.products.patches import make_sunlight
+    from etendue.radiosity import PatchSource
+
+    if isinstance(suns, (str, os.PathLike)):
+        path = Path(suns)
+        suns = read_epw(path) if path.suffix.lower() == ".epw" else Suns.read(path)
+    if isinstance(suns, Weather):
+        suns = Suns.of_weather(suns)
+    asked = suns if isinstance(suns, Suns) else Suns(np.asarray(suns), np.array(1.0))
+    source = PatchSource(source=mesh, max_area=max_area, parameters=parameters)
+    use_variant(variant)
+    return make_sunlight(source, asked, save, logger.info, up=up, north=north, lines=lines, seed=seed)
+
+
 def solve_heat(
     mesh: Any,
     conditions: PathLike,
@@ -385,7 +448,7 @@ def solve_heat(
     Raises :class:`etendue.radiosity.RadiosityError` for conditions that cannot be, see
     :func:`etendue.radiosity.heat_balance`; the other errors are those of :func:`compute_form_factors`.
     """
-    import numpy as np
+    from dataclasses import replace
 
     from etendue.products import HeatResult, heat_files
     from etendue.radiosity import (

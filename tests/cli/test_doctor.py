@@ -7,11 +7,13 @@ import io
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from etendue.cli.inspection.doctor import Check, _kernel, _package, diagnose, render
+from etendue.cli.main import main
 from etendue.core import llvm
 
 RUN = """
@@ -67,3 +69,12 @@ def test_findings_and_remedies_are_printed():
     assert "none [found]" in out.getvalue()
     assert "llvm: apt-get install libllvm19" in out.getvalue()
     assert "python:" not in out.getvalue()
+
+
+def test_a_report_has_no_private_folders(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main(["doctor", "--report"]) == 0
+    told = capsys.readouterr().out
+    assert "mitsuba: ok" in told and "kernel cache: " in told and "numpy " in told
+    for folder in (sys.prefix, str(Path.home()), str(tmp_path)):
+        assert folder not in told or len(folder) < 2, folder

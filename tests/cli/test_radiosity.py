@@ -175,13 +175,15 @@ def test_exact_form_factors(capsys):
     assert "% of what patches see is the sky" in capsys.readouterr().err
 
 
-def test_exact_form_factors_of_what_is_hidden_are_refused(capsys):
+def test_exact_form_factors_of_a_room_with_a_box(capsys):
     walls, inner = box((0, 0, 0), (1, 2, 3), 1, inward=True), box((0.2, 0.2, 0.2), (0.5, 0.5, 0.5))
     vertices, faces = np.concatenate([walls[0], inner[0]]), np.concatenate([walls[1], inner[1] + len(walls[0])])
     meshio.write("hidden.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
-    assert run("form-factors hidden.ply -m exact") == 2
-    err = capsys.readouterr().err
-    assert "stands between faces" in err and "without --exact" in err and not Path("factors.npz").exists()
+    assert run("form-factors hidden.ply -m auto --error 1e-6") == 0
+    assert "method exact: there are 12 patches" in capsys.readouterr().err
+    np.testing.assert_allclose(read_form_factors("factors.npz").row_sums(), 1, atol=1e-5)
+    assert run("form-factors hidden.ply -m auto --bundles 16") == 0
+    assert "method lines: bundles is asked for" in capsys.readouterr().err
 
 
 def test_a_room_that_is_turned_outward_is_noticed(capsys):

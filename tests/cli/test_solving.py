@@ -183,7 +183,7 @@ def factors(*arguments, **options):
         (lambda: factors("exact", wait=False), OptionError, "makes its result at once, without passes: leave out wait"),
         (lambda: factors(bundles=0), OptionError, "in bundles must be a whole number"),
         (lambda: factors(points=8), OptionError, "method 'lines' has no option 'points'"),
-        (lambda: factors(save="a.csv"), OptionError, "not known"),
+        (lambda: factors(save="a.txt"), OptionError, "not known"),
         (lambda: factors(save="no/where/a.npz"), OutputError, "no folder"),
         (lambda: factors(save="a.nc", checkpoint="a.nc"), OptionError, "two outputs"),
         (lambda: lit("jacobi"), OptionError, "'jacobi' is a solver of method lines: give solver jacobi"),

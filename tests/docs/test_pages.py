@@ -145,6 +145,7 @@ def folder(tmp_path_factory, variant):
         shutil.copy(path / "converged.exr", path / copy)
     (path / "desks.csv").write_text("0 0 0.5 0 0 1\n")
     written(path, year()).rename(path / "bern.epw")
+    (path / "suns.csv").write_text("x,y,z\n0,0,1\n")
     for number, name in enumerate(("hall", "desks", "trees")):
         (path / f"{name}.obj").write_text(f"v 0 0 {number}\nv 1 0 {number}\nv 0 1 {number}\nf 1 2 3\n")
     (path / "room.obj").write_text(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import importlib.util
+import json
 import math
 import sys
 from pathlib import Path
@@ -177,3 +179,38 @@ def test_reflectances():
     found = module.run(bundles=128)
     assert found["emissivities"] == pytest.approx(module.EMISSIVITIES, abs=0.025)
     assert found["differences"][0] > 20 and found["differences"][1] < 1.3
+
+
+NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
+#: What makes the notebooks small.
+SMALL = {
+    "seconds, size = 10, (160, 120)": "seconds, size = 1, (40, 30)",
+    "cells, bundles = 6, 1024": "cells, bundles = 3, 256",
+    "paths, bundles, iterations = 4096, 128, 300": "paths, bundles, iterations = 256, 16, 3",
+    "samples, size = 1 << 14, 48": "samples, size = 1 << 12, 16",
+}
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks(notebook, tmp_path, monkeypatch, variant):
+    """All cells run, in their order, and what ends a cell has a display."""
+    made = json.loads(notebook.read_text("utf-8"))
+    cells = ["".join(cell["source"]) for cell in made["cells"] if cell["cell_type"] == "code"]
+    assert cells and all(not cell.get("outputs") for cell in made["cells"])
+    text = "\n".join(cells)
+    assert sum(text.count(known) for known in SMALL) == 1
+    (tmp_path / "examples").symlink_to(EXAMPLES)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    names: dict[str, object] = {"__name__": "__main__"}
+    for cell in cells:
+        for known, small in SMALL.items():
+            cell = cell.replace(known, small)
+        *_, last = ast.parse(cell).body
+        exec(compile(cell, notebook.name, "exec"), names)
+        if isinstance(last, ast.Expr) and isinstance(last.value, ast.Name):
+            assert names[last.value.id]._repr_html_()
+
+
+def test_every_door_has_a_notebook():
+    assert [path.stem for path in NOTEBOOKS] == sorted(("rendering", "heat", "lighting", "research"))

@@ -42,6 +42,7 @@ def test_names(tmp_path):
         ("0 0 0 0 0 1\n1 2 3\n", "line 2"),
         ("0 0 0 0 0 1\n# a remark\n1 2 3 4 5 up\n", "line 3"),
         ("0 0 0 0 0 0\n", "length 0"),
+        ("nan 0 0 0 0 1\n", "number 0 is not finite"),
         ("0 0 0 0 0 1\n0 nan 0 0 0 1\n", "number 1 is not finite"),
     ],
 )

@@ -266,6 +266,7 @@ BAD_IES = {
     "empty": (lambda: "IESNA91\nTILT=NONE\n", "lamp data: there are 0 of 3"),
     "too many": (lambda: ies(isotropic) + "80 80", "2 more numbers"),
     "a word": (lambda: ies(isotropic).replace("80.000000", "x80", 1), "'x80' is not a number"),
+    "a long word": (lambda: ies(isotropic).replace("80.000000", "x" * 99, 1), f"'{'x' * 24}' is not a number"),
     "symmetry": (lambda: ies(isotropic, np.arange(0.0, 121.0, 30.0)), "from 0 to 120 degrees, which is no symmetry"),
     "not closed": (lambda: ies(isotropic, np.arange(0.0, 346.0, 15.0)), "from 0 to 345 degrees, which is no symmetry"),
     "planes fall": (
@@ -303,7 +304,11 @@ BAD_EULUMDAT = {
         "C planes .line 4. have none at 0 or 90 degrees",
     ),
     "no planes": (lambda: changed(eulumdat(isotropic), 4, "0"), "number of C planes .line 4. is 0"),
-    "a word": (lambda: changed(eulumdat(isotropic), 6, "many"), "line 6. is 'many'"),
+    "a word": (lambda: changed(eulumdat(isotropic), 6, "many"), "line 6. is 'many', no number"),
+    "another file": (
+        lambda: "\n".join(["x" * 500] * 30),
+        f"is '{'x' * 24}', no number; is this an IES or EULUMDAT file",
+    ),
     "no lumens": (lambda: eulumdat(isotropic, lamps=[(1, 0.0, 10.0)]), "the lamps have 0 lm"),
     "no lamps": (lambda: changed(eulumdat(isotropic), 26, "0"), "sets of lamps .line 26. is 0"),
     "negative": (lambda: eulumdat(lambda c, g: 50 - 60 * np.cos(g)), "an intensity is -10"),

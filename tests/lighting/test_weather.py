@@ -56,6 +56,8 @@ def test_missing_values(hours, tmp_path):
     ) as caught:
         weather.sky(noon)
     assert "\n" not in str(caught.value)
+    with pytest.raises(OptionError, match="hour 2412 of Bern"):
+        weather.check()
 
 
 def test_hours_of_sunrise_and_night(hours, tmp_path):
@@ -68,6 +70,9 @@ def test_hours_of_sunrise_and_night(hours, tmp_path):
     night = read_epw(written(tmp_path, changed(hours, 24 * 100, 15, "12")))
     with pytest.raises(OptionError, match="degrees below the horizon; correct longitude and time zone"):
         night.sky(24 * 100)
+    with pytest.raises(OptionError, match=r"hour 2400 of Bern.* below the horizon"):
+        night.check()
+    weather.check()
     with pytest.raises(OptionError, match="hours 0 to 8759, not of hour 8760"):
         night.sky(8760)
 

@@ -115,6 +115,24 @@ def test_a_year(tmp_path):
     assert float(rows[0]["autonomy_300"]) == pytest.approx(found.annual.autonomy()[0], rel=1e-6)
 
 
+def test_gaps_of_the_weather_are_told_before_the_run():
+    year = weather()
+    year.direct_normal[4000] = np.nan
+    passes: list[object] = []
+    with pytest.raises(LightingError, match=r"hour 4000 of Quito .* fill the gap"):
+        etendue.daylight(plane(), [[0, 0, 0]], UP, year, spp=1 << 10, callback=passes.append)
+    assert not passes
+
+
+def test_meters_that_see_no_sky(caplog):
+    """Inside of a solid that is white from both sides, which is no other than a room without windows."""
+    white = {"type": "twosided", "bsdf": grey(0.5)}
+    block = {"type": "cube", "bsdf": white}
+    found = etendue.daylight(plane(block=block), [[0, 0, 0.5], [3, 0, 0]], UP, spp=1 << 10)
+    assert "1 of 2 meters see nothing of the sky, as number 0 at [0.0, 0.0, 0.5]" in caplog.text
+    assert found.coefficients.values[1].any()
+
+
 def test_metrics():
     year = weather()
     meters = Meters(np.zeros((100, 3)), UP)

@@ -81,6 +81,7 @@ def test_three_meters_are_no_colour(capfd):
 def test_many_paths_are_more_passes():
     found = etendue.measure(floor(lamp=point([0, 0, 2])), [[0, 0, 0]], UP, spp=1 << 18, max_depth=2)
     assert found.metadata["samples"] == 1 << 18
+    assert found.metadata["passes"] == 64  # and not more: a pass takes a while, however few its paths
     assert np.allclose(found.values, 0.25, rtol=1e-4)
 
 

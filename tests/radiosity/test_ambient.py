@@ -201,15 +201,16 @@ def test_bad_input():
 
 
 class Sphere:
-    """Transport inside a sphere: every patch sees all others by their areas, and a share of sky."""
+    """Transport inside a sphere: every patch sees all others by their areas, and a share of what is outside."""
 
     exchange_weights = None
 
     def __init__(self, patches, sky=0.0):
-        self.patches, self.sky = patches, np.full(len(patches), sky)
+        self.patches, self.outside = patches, np.full(len(patches), sky)
 
     def gather(self, values, sky):
-        return np.broadcast_to((1 - self.sky[0]) * mean(self.patches, values), values.shape) + self.sky[0] * sky
+        share = self.outside[0]
+        return np.broadcast_to((1 - share) * mean(self.patches, values), values.shape) + share * sky
 
 
 @pytest.mark.parametrize("sky", [0.0, 0.25])

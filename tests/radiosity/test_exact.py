@@ -18,7 +18,15 @@ from support.patches import (
 )
 
 from etendue.points import OwenSobol
-from etendue.radiosity import ABuffer, Patches, RadiosityError, exact_form_factors, form_factors
+from etendue.radiosity import (
+    ABuffer,
+    Patches,
+    RadiosityError,
+    RayScene,
+    area_form_factors,
+    exact_form_factors,
+    form_factors,
+)
 
 
 def rotated(vertices):
@@ -114,8 +122,14 @@ def test_a_funnel_sees_itself():
 def test_sheets_have_two_sides():
     walls = box((0, 0, 0), (1, 1, 1), 1, inward=True)
     sheet = square((0, 0, 0.5), (1, 0, 0), (0, 1, 0))
-    with pytest.raises(RadiosityError, match="face 6 stands between faces"):
-        exact_form_factors(Patches(*joined(walls, sheet), two_sided=np.arange(7) == 6))
+    # The sheet hides the floor from the ceiling; above and below there is half a room each.
+    halves = exact_form_factors(Patches(*joined(walls, sheet), two_sided=np.arange(7) == 6), 1e-6)
+    np.testing.assert_allclose(halves.row_sums(), 1, atol=1e-5)
+    level = np.flatnonzero(Patches(*walls).centres[:, 2] % 1 == 0)
+    assert halves.matrix.todense()[level[0], level[1]] == 0
+    for side in (6, 7):
+        seen = halves.matrix.todense()[side, level]
+        np.testing.assert_allclose(np.sort(seen), [0, opposite(2, 2)], atol=1e-6)
     apart = Patches(*joined(sheet, square((0, 0, 1), (0, 1, 0), (1, 0, 0))), two_sided=True)
     factors = exact_form_factors(apart).matrix.todense()
     np.testing.assert_allclose(factors[0], [0, opposite(2, 2), 0, 0], atol=1e-8)
@@ -131,18 +145,77 @@ def test_backs_are_dark():
     np.testing.assert_allclose(factors.sky, [1 - exact, 1], atol=1e-8)
 
 
-def test_what_is_hidden_is_refused():
-    two, other = square((0, 0, 0), (1, 0, 0), (0, 1, 0)), square((0, 0, 1), (0, 1, 0), (1, 0, 0))
-    # A small screen in a corner of the space between two plates; beside it nothing is hidden.
-    for x, is_hidden in ((0.9, True), (1.001, False)):
-        patches = Patches(*joined(two, other, square((x, 0.9, 0.5), (0.5, 0, 0), (0, 0.5, 0))))
-        if is_hidden:
-            with pytest.raises(RadiosityError, match=r"face 2 stands between faces 0 and 1.*cast lines"):
-                exact_form_factors(patches)
-        else:
-            assert exact_form_factors(patches).matrix.todense()[0, 1] == pytest.approx(opposite(1, 1), abs=1e-8)
-    with pytest.raises(RadiosityError, match="stands between"):
-        exact_form_factors(room(1))
+def plates(screen, place, **named):
+    """Two unit squares face to face, and a square screen between them."""
+    low, high = square((0, 0, 0), (1, 0, 0), (0, 1, 0)), square((0, 0, 1), (0, 1, 0), (1, 0, 0))
+    return Patches(*joined(low, high, square((*place, 0.5), (screen, 0, 0), (0, screen, 0))), **named)
+
+
+def test_a_screen_between_plates():
+    """What a screen half way hides is a form factor, too: rays between the plates through it are those between its
+    opposite images. In the corner of a screen as large as the plates, nothing is left."""
+    free = opposite(1, 1)
+    assert exact_form_factors(plates(0.5, (1.001, 0.9))).matrix.todense()[0, 1] == pytest.approx(free, abs=1e-8)
+    assert exact_form_factors(plates(1.0, (0, 0))).matrix.todense()[0, 1] == 0
+    # Of F(low, screen) A, all that arrives at the screen from below left for the upper plate, or for outside of it.
+    for screen, place in ((0.4, (0.3, 0.3)), (0.5, (0.9, 0.9)), (0.8, (0.1, 0.3))):
+        patches = plates(screen, place)
+        fine = exact_form_factors(patches, 1e-6).matrix.todense()[0, 1]
+        for tolerance in (1e-2, 1e-3, 1e-4, 1e-5):
+            found = exact_form_factors(patches, tolerance)
+            off, estimate = abs(found.matrix.todense()[0, 1] - fine), found.errors.todense()[0, 1]
+            assert off <= max(estimate, 1e-6) and off <= 4 * tolerance, (screen, tolerance)
+            np.testing.assert_allclose(found.reciprocity_error(), 0, atol=1e-12)
+        drawn = np.random.default_rng(1).random((2, 400_000, 2))
+        a, b = (np.column_stack([points, np.full(len(points), float(z))]) for z, points in enumerate(drawn))
+        d = b - a
+        middle, r2 = (a + b)[:, :2] / 2, (d**2).sum(axis=1)
+        blocked = ((middle > place) & (middle < np.array(place) + screen)).all(axis=1)
+        values = np.where(blocked, 0, d[:, 2] ** 2 / (np.pi * r2**2))
+        assert abs(values.mean() - fine) < 4.5 * values.std() / np.sqrt(len(values))
+
+
+def test_rooms_with_boxes_are_closed():
+    walls = box((0, 0, 0), (2, 2, 2), 2, inward=True)
+    inner = [box((0.2, 0.3, 0.1), (0.7, 0.9, 1.1), 1), box((1.1, 1.2, 0.3), (1.6, 1.7, 0.8), 1)]
+    patches = Patches(*joined(walls, *inner))
+    for tolerance in (1e-3, 1e-5):
+        factors = exact_form_factors(patches, tolerance)
+        # A row has 36 entries, each with an error of some tolerances.
+        assert np.abs(factors.row_sums() - 1).max() <= 36 * tolerance
+    lines = form_factors(ABuffer(patches, OwenSobol(4, seed=2)).cast(1024))
+    errors = lines.errors.todense()
+    z = (lines.matrix.todense() - factors.matrix.todense())[errors > 0] / errors[errors > 0]
+    assert np.abs(z).max() < 5 and np.mean(z**2) < 1.3
+
+
+@pytest.mark.parametrize("is_crossing", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_random_triangles(seed, is_crossing):
+    """Triangles that hide each other in any way, against rays between points of two, whose variance is finite if they
+    do not touch; and those that cross each other, against lines."""
+    random = np.random.default_rng(seed)
+    cells = np.array([(x, y, z) for x in range(2) for y in range(2) for z in range(3)], float)
+    away = random.normal(size=(12, 3, 3))
+    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    corners = cells[:, None] * 0.5 + 0.6 * away if is_crossing else cells[:, None] + 0.48 * away
+    patches = Patches(corners.reshape(-1, 3), np.arange(36).reshape(12, 3), two_sided=True)
+    factors = exact_form_factors(patches, 1e-5).matrix.todense()
+    if is_crossing:
+        lines = form_factors(ABuffer(patches, OwenSobol(4, seed=seed)).cast(2048))
+        errors = lines.errors.todense()
+        z = (lines.matrix.todense() - factors)[errors > 0] / (errors[errors > 0] + 2e-5)
+        assert np.mean(z**2) < 1.5 and np.abs(z).max() < 6
+        return
+    pairs = np.array([(i, j) for i in range(24) for j in range(24) if i != j])
+    values, errors = area_form_factors(RayScene(patches), pairs, 1 << 14, OwenSobol(4, seed=seed))
+    z = (values - factors[tuple(pairs.T)]) / np.maximum(errors, 1e-5)
+    assert np.abs(z).max() < 5 and (factors > 1e-4).sum() > 100
+
+
+def test_what_is_refused():
+    with pytest.raises(RadiosityError, match="tolerance of form factors is above 0"):
+        exact_form_factors(room(1), 0)
     on_the_floor = joined(box((0, 0, 0), (1, 1, 1), 1, inward=True), box((0.2, 0.2, 0), (0.5, 0.5, 0.5)))
     with pytest.raises(RadiosityError, match="faces 4 and 10 lie on each other"):
         exact_form_factors(Patches(*on_the_floor))

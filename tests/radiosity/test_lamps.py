@@ -132,7 +132,7 @@ def test_what_has_no_such_light(tmp_path):
     scene = room(point=POINT)
     with pytest.raises(UnsupportedError, match="method 'boxes' has no light of emitter 'point'"):
         etendue.solve_radiosity(scene, "boxes", passes=1)
-    with pytest.raises(OptionError, match="ambient"):
+    with pytest.raises(OptionError, match="without lines there is no light of lamps"):
         etendue.solve_radiosity(scene, ambient="fuzzy")
     with pytest.raises(UnsupportedError, match="lamps_apart"):
         scene_patches(load(scene, sensor=None))

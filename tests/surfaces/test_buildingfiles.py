@@ -118,6 +118,17 @@ def test_zones_of_energyplus_face_inwards(tmp_path, step):
     np.testing.assert_allclose(factors.row_sums(), 1, atol=1e-12)
 
 
+def test_a_wall_that_its_windows_cover_keeps_its_row(tmp_path, caplog):
+    data = energyplus(shift=1.0)
+    wall = data["BuildingSurface:Detailed"]["Z2:East"]["vertices"]
+    window = {name.replace("vertex", f"vertex_{k + 1}"): v for k, p in enumerate(wall) for name, v in p.items()}
+    data["FenestrationSurface:Detailed"]["Z2:Win"].update(window)
+    patches = read_patches(written(tmp_path, "a.epJSON", data))
+    assert len(patches) == 13
+    assert list(patches.names[patches.empty]) == ["Z2:East"]
+    assert "1 have no area" in caplog.text
+
+
 def test_relative_coordinates_of_energyplus(tmp_path):
     """Zone 2 begins at x = 1; turned by 90 degrees clockwise, its y points along x."""
     data = energyplus(coordinate_system="Relative")
@@ -152,15 +163,18 @@ def test_a_building_of_cityjson_is_made_of_its_parts(tmp_path):
         {"type": "MultiSurface", "lod": "0", "boundaries": [[[0, 1, 2, 3]]]},
     )
     data["CityObjects"] = {"b": {"type": "Building", "geometry": [footprint], "children": ["p"]}, "p": part}
-    assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == ["p"]
-    data["CityObjects"]["b"].pop("children")
-    assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == ["b", "p"]
+    for kind, names in (("BuildingPart", ["p"]), ("BuildingInstallation", ["b", "p"])):
+        part["type"] = kind
+        assert list(read_patches(written(tmp_path, "a.city.json", data), ids="object").names) == names
 
 
 def test_honeybee(tmp_path, caplog):
-    path = written(tmp_path, "a.hbjson", honeybee())
+    data = honeybee()
+    data["rooms"][0]["faces"][0]["indoor_shades"] = data["rooms"][0]["indoor_shades"] = [{}]
+    path = written(tmp_path, "a.hbjson", data)
     patches = read_patches(path)
-    assert "1 orphaned shades are of no room" in caplog.text
+    assert "1 orphaned shades are left out" in caplog.text
+    assert "2 indoor shades are left out" in caplog.text
     assert patches.areas.sum() == pytest.approx(6 * 3.048**2)
     patches.shape_names = tuple(name.replace("Window", "Win") for name in patches.shape_names)
     check_room(patches)
@@ -173,17 +187,20 @@ void glow lamp 0 0 4 2 1 0 0
 void light sun 0 0 3 1 1 1
 sun source s 0 0 4 0 0 1 .5
 void alias paint grey
+void brightfunc dirt 2 f dirt.cal 0 0
 paint polygon floor
 0
 0
 12 0 0 0  1 0 0  1 1 0  0 1 0
+dirt plastic dirty 0 0 5 .5 .5 .5 0 0
 lamp polygon ceiling 0 0 12 0 1 1  1 1 1  1 0 1  0 0 1
 """
 
 
-def test_radiance(tmp_path):
+def test_radiance(tmp_path, caplog):
     path = written(tmp_path, "a.rad", RAD)
     patches = read_patches(path)
+    assert "line 12: 'dirty' is taken without its pattern 'dirt'" in caplog.text
     assert list(patches.names) == ["floor", "ceiling"]
     np.testing.assert_allclose(patches.reflectance, [[0.55, 0.46, 0.37], [0, 0, 0]])
     np.testing.assert_allclose(patches.emission, [[0, 0, 0], [2 * np.pi, np.pi, 0]])
@@ -199,6 +216,10 @@ def changed(data, *path, to):
         place = place[key]
     place[path[-1]] = to
     return data
+
+
+SOLID = ("CityObjects", "b1", "geometry", 1)
+VERTICES = energyplus()["BuildingSurface:Detailed"]["Z2:East"]["vertices"]
 
 
 @pytest.mark.parametrize(
@@ -219,20 +240,41 @@ def changed(data, *path, to):
             "'Z2:Win' in 'Z2:East' lies in another plane",
         ),
         ("a.epjson", changed(energyplus(), "BuildingSurface:Detailed", "Z1:Roof", to={}), "has no 'vertices'"),
+        (
+            "a.epjson",
+            changed(energyplus(), "BuildingSurface:Detailed", "Z2:East", "vertices", 1, "vertex_x_coordinate", to=None),
+            "'Z2:East' is no list of points of three numbers",
+        ),
+        (
+            "a.epjson",
+            changed(energyplus(), "BuildingSurface:Detailed", "Z2:East", "vertices", to=VERTICES[:2]),
+            "'Z2:East' has 2 corners; it needs three",
+        ),
+        ("a.epjson", energyplus(vertex_entry_direction="Sideways"), "an unknown direction or coordinate system"),
+        ("a.epjson", energyplus(coordinate_system="Polar"), "an unknown direction or coordinate system"),
+        ("a.city.json", changed(city(), "transform", "scale", to=[1, 1]), "is damaged"),
+        ("a.city.json", changed(city(), *SOLID, "lod", to="high"), "is damaged"),
+        ("a.city.json", changed(city(), *SOLID, "boundaries", 0, 2, to=[]), "is damaged"),
+        (
+            "a.city.json",
+            changed(city(), *SOLID, "boundaries", 0, 3, 1, to=[8, 9]),
+            "a hole of 'b1:3' has 2 corners; it needs three",
+        ),
         ("a.city.json", changed(city(), "vertices", to=[[0, 0, 0]]), "surface 0 of 'b1' names vertex"),
         ("a.city.json", changed(city(), "vertices", to="x"), "'vertices' is no list of points"),
         (
             "a.city.json",
-            changed(city(), "CityObjects", "b1", "geometry", 1, "type", to="GeometryInstance"),
+            changed(city(), *SOLID, "type", to="GeometryInstance"),
             "'b1' is a GeometryInstance",
         ),
         ("a.hbjson", changed(honeybee(), "units", to="Miles"), "not 'Miles'"),
         ("a.hbjson", changed(honeybee(), "rooms", 0, "faces", 0, to={"identifier": "x"}), "has no 'geometry'"),
-        ("a.rad", RAD + "void sphere s 0 0 4 0 0 0 1\n", "line 12: sphere 's' is no polygon"),
-        ("a.rad", RAD + "void glass g 0 0 3 1 1 1\ng polygon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 13: the material 'g'"),
-        ("a.rad", RAD + "grey polygon p 0 0 8 0 0 0 1 0 0 0 1\n", "line 12: polygon 'p' has 8 numbers"),
-        ("a.rad", RAD + "grey polygon p 0 0 9 0 0 0 1 0 0 0 1\n", "line 12: the primitive is incomplete"),
-        ("a.rad", "!xform a.rad\n", "line 1: commands are not run"),
+        ("a.rad", RAD + "void sphere s 0 0 4 0 0 0 1\n", "line 14: sphere 's' is no polygon"),
+        ("a.rad", RAD + "void glass g 0 0 3 1 1 1\ng polygon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 15: the material 'g'"),
+        ("a.rad", RAD + "grey polygon p 0 0 8 0 0 0 1 0 0 0 1\n", "line 14: polygon 'p' has 8 numbers"),
+        ("a.rad", RAD + "grey polygon p 0 0 9 0 0 0 1 0 0 0 1\n", "line 14: the primitive is incomplete"),
+        ("a.rad", RAD + "grey polgyon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 14: polgyon 'p' is no polygon"),
+        ("a.rad", " !xform a.rad\n", "line 1: commands are not run"),
     ],
 )
 def test_broken_files(tmp_path, name, content, message):

@@ -58,7 +58,26 @@ def test_emissivities_that_one_file_lacks(tmp_path):
     high = square(tmp_path / "high.obj", 1, "roof", up=False)
     with pytest.raises(PatchError, match=r"^high has no reflectance as other files have"):
         read_patches(tmp_path / "a.vs3", more=[high])
+    np.testing.assert_allclose(read_patches(tmp_path / "a.vs3", more=[high], reflectance=0.3).reflectance, 0.3)
     (tmp_path / "b.vs3").write_text(plates.replace(" 0\nV", " 2\nV").replace(" 0\nS", " 2\nS"))
     patches = read_patches(tmp_path / "a.vs3", more=[tmp_path / "b.vs3"], obstacles=[high])
     np.testing.assert_allclose(patches.reflectance, 0.1)
     assert patches.names.tolist() == ["floor", "floor"]
+
+
+def test_colours_of_one_file_and_grey_of_another(tmp_path):
+    grey = tmp_path / "a.vs3"
+    grey.write_text("T\nF 3\nV 1 0 0 0\nV 2 1 0 0\nV 3 1 1 0\nS 1 1 2 3 0 0 0 0.9 floor\nEnd of Data\n")
+    lamp = tmp_path / "lamp.rad"
+    lamp.write_text("void glow white 0 0 4 3 2 1 0\nwhite polygon lamp 0 0 9 0 0 1  0 1 1  1 0 1\n")
+    patches = read_patches(grey, more=[lamp])
+    np.testing.assert_allclose(patches.reflectance, [[0.1, 0.1, 0.1], [0, 0, 0]])
+    np.testing.assert_allclose(patches.emission, [[0, 0, 0], [3 * np.pi, 2 * np.pi, np.pi]])
+
+
+def test_faces_of_no_group_stay_so(tmp_path):
+    path = square(tmp_path / "low.obj", 0, "floor")
+    path.write_text(path.read_text() + "g\nf 1 3 4\n")
+    other = tmp_path / "high.obj"
+    other.write_text("v 0 0 1\nv 0 1 1\nv 1 0 1\nf 1 2 3\ng roof\nf 1 3 2\n")
+    assert read_patches(path, more=[other]).names.tolist() == ["floor", "", "", "roof"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from etendue.cli.main import main
 from etendue.radiosity import Patches, box, joined, orientation, read_patches
 from etendue.surfaces.orienting import turned
 
@@ -92,3 +93,15 @@ def test_reading_turns_faces(tmp_path, caplog):
     assert "of 6 faces 1 are turned: face 5 (counted from 0)" in caplog.text
     patches = read_patches(path, orient="inward")
     np.testing.assert_allclose((0.5 - patches.centres) * 2, patches.normals, atol=1e-12)
+
+
+@pytest.mark.parametrize("command", ["form-factors a.obj", "radiosity a.obj --emission 1 --reflectance 0.5"])
+def test_the_commands_turn_faces(tmp_path, monkeypatch, capsys, command):
+    """In a cube whose faces all look out, patches see only the sky."""
+    monkeypatch.chdir(tmp_path)
+    vertices, faces = box((0, 0, 0), (1, 1, 1), 1, inward=False)
+    rows = [*(f"v {x} {y} {z}" for x, y, z in vertices), *(" ".join(["f", *map(str, face + 1)]) for face in faces), ""]
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    for orient, sees in ("inward", False), ("outward", True):
+        assert main([*command.split(), "--orient", orient, "--bundles", "16", "-o", "f.npz"]) == 0
+        assert ("patches see only the sky" in capsys.readouterr().err) == sees

@@ -128,7 +128,20 @@ def test_an_empty_file(suffix, tmp_path):
         ("a.obj", "v a b c\n", "cannot be read as a mesh: could not convert"),
         ("a.off", "OFF\n", "cannot be read as a mesh"),
         ("a.off", "OFF\n3 1 0\n0 0 0\n", "is cut off: it has 1 lines for 3 vertices and 1 faces"),
+        ("a.off", "OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2\n", "a line has too few numbers"),
+        ("a.off", "OFF\n3 1 0\n0 0\n1 0\n1 1\n3 0 1 2\n", "cannot be read as a mesh"),
+        ("a.obj", "v 0 0\nv 1 0\nv 1 1\nf 1 2 1\n", "cannot be read as a mesh"),
         ("a.off", "4OFF\n3 1 0\n", "4OFF is not known"),
+        (
+            "a.obj",
+            "v 0 0 0\nv 2 2 0\nv 2 0 0\nv 0 1 0\nv 3 3 0\nf 1 3 2 5 4\nf 1 2 3 4\n",
+            "face 1 crosses itself: cut it into triangles",
+        ),
+        (
+            "a.off",  # a pentagram, whose corners all turn the same way
+            "OFF\n5 1 0\n1 0 0\n-0.8 0.6 0\n0.3 -0.95 0\n0.3 0.95 0\n-0.8 -0.6 0\n5 0 1 2 3 4\n",
+            "face 0 of 5 corners crosses itself",
+        ),
         ("a.stl", "solid x\nendsolid x\n", "has no vertices"),
         ("a.vtp", "<VTKFile/>", "it has no polygons of VTK"),
         ("a.vtk", legacy("3.0", "ASCII") + ROWS + "\nLINES 1 3\n2 0 1\n", "has lines beside polygons"),

@@ -11,7 +11,7 @@ from etendue.core import format_seconds
 
 from . import options as opt
 from .console import Steps, error_console, note, say
-from .patches import Bundles, Ids, LineSeed, MaxArea, More, Obstacles, Orient, TwoSided, further
+from .patches import Bundles, Ids, LineSeed, MaxArea, More, Obstacles, Orient, TwoSided, mesh_arguments
 
 
 def heat(
@@ -89,7 +89,7 @@ def heat(
     console, began = error_console(), clock.perf_counter()
     choose_device(variant, threads)
     files = output or [Path("heat.csv")]
-    given = {"ids": ids, "two_sided": two_sided, "orient": orient} | further(more, obstacles)
+    given = mesh_arguments(ids, two_sided, orient, more, obstacles)
     patches = PatchSource(source=mesh, max_area=max_area, mesh=given).open().patches
     limits = opt.limits(time, error, bundles=bundles)
     with Steps(console, "form factors" if factors is None else "solving"):

@@ -13,7 +13,7 @@ import typer
 
 from etendue.core import OptionError, format_count, format_seconds, logger
 from etendue.engine import Checkpoint, Job, Task
-from etendue.products import FormFactorResult, RadiosityResult, start_job
+from etendue.products import DaylightResult, FormFactorResult, RadiosityResult, start_job
 from etendue.products.patches import (
     ERROR_SCALE,
     AtOnce,
@@ -52,7 +52,7 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
             if not device.is_alone:
                 raise OptionError("there are no passes for workers: leave out --cluster and --workers")
             with Steps(error_console(), "reading") as steps:
-                result = task.make(steps.update, lambda patches: _describe_patches(task.source.name, patches))
+                result = task.make(steps.update, lambda patches: describe_patches(task.source.name, patches))
         else:
             outcome = _cast(task, device, saved)
             if outcome.result is None:
@@ -62,7 +62,9 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
                 result = product.finish(job, run, steps.update)
             if status and (kept := product.checkpoint or product.if_stopped) is not None:
                 _note(f"to go on: etendue resume {kept}")
-    if isinstance(result, FormFactorResult):
+    if isinstance(result, DaylightResult):
+        _note(result.summary())
+    elif isinstance(result, FormFactorResult):
         _describe_factors(product, result)
     else:
         _describe_solution(product, task, result)
@@ -96,10 +98,10 @@ def _cast(task: Task, device: Device, saved: Checkpoint | None) -> Any:
         if job.method.name == "boxes":
             _describe_boxes(job)
         else:
-            _describe_patches(job.problem.source, job.problem.patches)
+            describe_patches(job.problem.source, job.problem.patches)
         return job
 
-    label = "form factors" if isinstance(product, FormFactorProduct) else "radiosity"
+    label = "radiosity" if isinstance(product, SolutionProduct) else product.kind
     with device.opened() as cluster:
         return follow(lambda: start_job(open_job, None, cluster, finish=False), error_console(), label)
 
@@ -127,7 +129,8 @@ def _note(text: str) -> None:
     note(error_console(), text)
 
 
-def _describe_patches(name: str, patches: Any) -> None:
+def describe_patches(name: str, patches: Any) -> None:
+    """Say how many patches there are, and whether their mesh is closed."""
     from etendue.radiosity import diagnose
 
     faces = len(patches.faces)

@@ -41,6 +41,7 @@ from .measuring import DaylightCommand, MeasureCommand, daylight, measure
 from .particle_maps import app as particles
 from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
 from .pictures import PictureCommand, compare, demo, render, run
+from .sunshine import sunlight
 
 app = typer.Typer(
     name="etendue",
@@ -385,6 +386,7 @@ def points(
 
 app.command(cls=FactorCommand)(form_factors)
 app.command(cls=SolutionCommand)(radiosity)
+app.command()(sunlight)
 app.command()(heat)
 app.add_typer(particles, name="particles")
 
@@ -432,13 +434,18 @@ def check(
 
 
 @app.command()
-def doctor(debug: opt.Debug = False) -> int:
+def doctor(
+    report: Annotated[
+        bool, typer.Option("--report", help="One text for a report of a fault, without names of your folders.")
+    ] = False,
+    debug: opt.Debug = False,
+) -> int:
     """Report what is installed, what is wrong and how to fix it."""
     from rich.console import Console
 
     from .inspection.doctor import run_doctor
 
-    return run_doctor(Console())
+    return run_doctor(Console(), report)
 
 
 if __name__ == "__main__":

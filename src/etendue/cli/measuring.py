@@ -13,6 +13,7 @@ from etendue.core import OptionError
 
 from . import options as opt
 from .console import error_console, note, say
+from .patches import Bundles, Ids, MaxArea, Reflectance, TwoSided, quantity
 from .settings import settings_in, with_settings
 
 if TYPE_CHECKING:
@@ -177,6 +178,13 @@ def daylight(
     points: Points = None,
     grid: Grid = None,
     cells: Cells = None,
+    surfaces: Annotated[
+        bool,
+        typer.Option(
+            "--surfaces",
+            help="Of all faces of a mesh or scene in place of points, by lines and radiosity; all are diffuse.",
+        ),
+    ] = False,
     weather: Annotated[
         Path | None, typer.Option("--epw", help="Weather of a year, for the metrics of the year.", metavar="FILE")
     ] = None,
@@ -193,6 +201,11 @@ def daylight(
     time: opt.Time = None,
     spp: PathsOfMeters = None,
     error: opt.Error = None,
+    bundles: Bundles = None,
+    max_area: MaxArea = None,
+    reflectance: Reflectance = None,
+    ids: Ids = None,
+    two_sided: TwoSided = False,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
     define: opt.Define = None,
@@ -202,23 +215,37 @@ def daylight(
     workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Compute daylight coefficients of points: what each patch of the sky contributes, and from weather the daylight of
-    a year.
+    """Compute daylight coefficients of points, or of --surfaces: what each patch of the sky contributes, and from
+    weather the daylight of a year.
 
-    Stops at the first of --time, --spp and --error that is reached; without any, after 65536 paths of each meter. The
-    scene needs neither camera nor lamp.
+    Stops at the first of --time, --spp (--bundles, of surfaces) and --error that is reached; without any, after 65536
+    paths of each meter, or 16 to 32 bundles for each patch of the sky. The scene needs neither camera nor lamp.
     """
     from etendue.engine import Job, Task
     from etendue.lighting import read_epw
     from etendue.methods import SkyTracing
     from etendue.products import Daylight, budget_of, start_job
+    from etendue.products.patches import daylight_run
     from etendue.scene import SceneSource, locate
 
+    from .lines import run_on_patches
     from .running import choose_device, default_name, follow
 
-    meters = _meters(points, grid, cells, "irradiance")
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
-    limits = opt.limits(time, error, spp=spp)
+    limits = opt.limits(time, error, spp=spp, bundles=bundles)
+    mesh = {"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided}
+    if surfaces:
+        if not (points is None and grid is None and cells is None):
+            raise OptionError("--surfaces are in place of --points and --grid; give one of them")
+        suffix = ".mtx" if weather is None else ".csv"
+        asked = {"source": scene, "max_area": max_area, "mesh": mesh, "parameters": parameters, "seed": seed}
+        files = tuple(output or [Path(f"{Path(scene).stem}-daylight{suffix}")])
+        run = daylight_run(settings, limits=limits, weather=weather, outputs=files, **asked)
+        return run_on_patches(run.task(), opt.Device(variant, threads, cluster, workers))
+    for name, value in {"max_area": max_area, **mesh}.items():
+        if value not in (None, False):
+            raise OptionError(f"--{name.replace('_', '-')} is for --surfaces; leave it out")
+    meters = _meters(points, grid, cells, "irradiance")
     console = error_console()
     found = locate(scene, lambda text: note(console, text))
     year = None if weather is None else read_epw(weather)

@@ -10,7 +10,7 @@ import typer
 from etendue.core import OptionError, logger
 
 from . import options as opt
-from .console import command_line, error_console
+from .console import command_line, error_console, note
 from .settings import settings_in, with_settings
 
 FactorFiles = Annotated[
@@ -63,7 +63,13 @@ Reflectance = Annotated[
     ),
 ]
 Ids = Annotated[
-    str | None, typer.Option("--ids", help="Of a mesh: array of the file; faces of equal number are one patch.")
+    str | None,
+    typer.Option(
+        "--ids",
+        help="Of a mesh: array of the file; faces of equal number are one patch. groups for its named groups, file for "
+        "one patch of each file.",
+        metavar="NAME",
+    ),
 ]
 TwoSided = Annotated[
     bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
@@ -116,10 +122,18 @@ FactorCommand = with_settings(_factor_methods, "lines")
 SolutionCommand = with_settings(_solution_methods, "lines")
 
 
-def further(more: list[Path] | None, obstacles: list[Path] | None) -> dict[str, list[str] | None]:
-    """Arguments of ``read_patches``: further files, where a checkpoint finds them again."""
-    named = {"more": more, "obstacles": obstacles}
-    return {name: [str(path.absolute()) for path in files] if files else None for name, files in named.items()}
+def mesh_arguments(
+    ids: str | None,
+    two_sided: bool,
+    orient: str | None,
+    more: list[Path] | None,
+    obstacles: list[Path] | None,
+    **named: Any,
+) -> dict[str, Any]:
+    """Arguments of ``read_patches``, with further files where a checkpoint finds them again."""
+    files = {"more": more, "obstacles": obstacles}
+    further = {name: [str(path.absolute()) for path in some] if some else None for name, some in files.items()}
+    return {"ids": ids, "two_sided": two_sided, "orient": orient, **further, **named}
 
 
 def form_factors(
@@ -134,8 +148,8 @@ def form_factors(
         typer.Option(
             "--method",
             "-m",
-            help="lines through the whole scene; spheres, lines also in spheres around objects; or exact, by "
-            "integrals, for surfaces that hide nothing from each other.",
+            help="lines through the whole scene; spheres, lines also in spheres around objects; exact, by integrals, "
+            "for some thousand patches; or auto, exact or lines.",
             metavar="NAME",
         ),
     ] = "lines",
@@ -244,12 +258,12 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided, "orient": orient}
-        | further(more, obstacles),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance)),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
         save_every=save_every,
+        tell=lambda text: note(error_console(), text),
         is_watched=error_console().is_terminal,
     )
     without_hierarchy(run, hierarchy if hierarchy != "" else True)
@@ -467,16 +481,17 @@ def radiosity(
         ),
         seed=seed or 0,
         max_area=max_area,
-        mesh={
-            "reflectance": quantity(reflectance),
-            "emission": quantity(emission),
-            "temperature": quantity(temperature),
-            "ids": ids,
-            "sky": sky_of(sky),
-            "two_sided": two_sided,
-            "orient": orient,
-        }
-        | further(more, obstacles),
+        mesh=mesh_arguments(
+            ids,
+            two_sided,
+            orient,
+            more,
+            obstacles,
+            reflectance=quantity(reflectance),
+            emission=quantity(emission),
+            temperature=quantity(temperature),
+            sky=sky_of(sky),
+        ),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(named[0], checkpoint, no_checkpoint),

@@ -9,7 +9,11 @@ if TYPE_CHECKING:
     from .budget import Budget as Budget, check_count as check_count
     from .checkpoint import Checkpoint as Checkpoint
     from .executor import Executor as Executor, InTurn as InTurn, MakeExecutor as MakeExecutor, Order as Order
-    from .fitting import fit_samples as fit_samples, settle_samples as settle_samples
+    from .fitting import (
+        fit_samples as fit_samples,
+        fitting_samples as fitting_samples,
+        settle_samples as settle_samples,
+    )
     from .job import Job as Job, Source as Source, Task as Task, remaining as remaining, versions as versions
     from .product import Product as Product, silent as silent
     from .recordfiles import check_records as check_records

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,11 @@ class NetcdfFile:
         self.lengths |= dict(zip(names, array.shape, strict=True))
         attributes = {"long_name": long_name} | ({"units": units} if units else {}) | more
         self.variables[name] = (names, array, attributes)
+
+    def add_texts(self, name: str, dimensions: str, texts: Iterable[str], long_name: str) -> None:
+        """Add a variable of texts, as letters; the second of the ``dimensions`` is that of letters."""
+        encoded = np.array([text.encode() for text in texts])
+        self.add(name, dimensions, encoded.view("S1").reshape(len(encoded), -1), long_name, _Encoding="utf-8")
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file atomically.

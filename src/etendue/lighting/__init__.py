@@ -20,8 +20,9 @@ from .skies import (
     perez_sky as perez_sky,
 )
 from .sun import day_of_year as day_of_year, sun_direction as sun_direction
+from .suns import Suns as Suns
 from .tilt import Tilt as Tilt
 from .units import EFFICACY as EFFICACY, photometric as photometric
 from .views import PROJECTIONS as PROJECTIONS, Projection as Projection, View as View
-from .weather import Weather as Weather, read_epw as read_epw
+from .weather import Beam as Beam, Weather as Weather, read_epw as read_epw
 from .web import PhotometricWeb as PhotometricWeb

@@ -18,6 +18,8 @@ from .web import PhotometricWeb, check_angles, whole_circle
 
 #: Lines before and of each set of lamps, and the direct ratios after them.
 _HEAD, _SET, _RATIOS = 26, 6, 10
+#: Characters of a wrong line that a message shows.
+_SHOWN = 24
 #: Difference from the light output ratio of the file that is worth a warning.
 _LOSS = 0.05
 
@@ -146,7 +148,9 @@ class _Lines:
         try:
             value = float(word.replace(",", ".") or 0.0)
         except ValueError:
-            raise LightingError(f"{what} (line {number}) is {word!r}; it is a number") from None
+            raise LightingError(
+                f"{what} (line {number}) is {word[:_SHOWN]!r}, no number; is this an IES or EULUMDAT file?"
+            ) from None
         if not np.isfinite(value):
             raise LightingError(f"{what} (line {number}) is {value:g}; it is a finite number")
         return value

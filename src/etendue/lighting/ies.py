@@ -15,6 +15,8 @@ from .web import PhotometricWeb, check_angles, whole_circle
 _TILT = re.compile(r"^\s*TILT\s*=\s*(.*?)\s*$", re.IGNORECASE)
 _KEYWORD = re.compile(r"^\s*\[(\w+)\]\s*(.*?)\s*$")
 _METRES = {1: 0.3048, 2: 1.0}
+#: Characters of a wrong word that a message shows.
+_SHOWN = 24
 _TYPES = {1: "C", 2: "B", 3: "A"}
 
 
@@ -140,7 +142,7 @@ class _Numbers:
             return np.array([float(word) for word in words])
         except ValueError:
             word = next(word for word in words if not _is_number(word))
-            raise LightingError(f"{what}: {word!r} is not a number; correct the file") from None
+            raise LightingError(f"{what}: {word[:_SHOWN]!r} is not a number; correct the file") from None
 
     def count(self, what: str) -> int:
         """The next number, a count."""

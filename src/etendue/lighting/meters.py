@@ -129,7 +129,7 @@ class Meters:
         named = set(_COLUMNS) <= set(heads)
         if named:
             lines = lines[1:]
-        elif any(map(str.isalpha, heads)):
+        elif any(word.isalpha() and word not in ("nan", "inf") for word in heads):
             raise LightingError(f"the first line of '{path}' names columns, but not all of {','.join(_COLUMNS)}")
         columns = [heads.index(name) for name in _COLUMNS] if named else list(range(6))
         rows, names = [], []

@@ -33,8 +33,18 @@ _COLUMNS = {
 }
 _TEMPERATURES = ("dry_bulb", "dew_point")
 _HEADING = 8  #: lines
-#: Altitude in degrees above which the sun comes within half an hour of the middle of an hour that it lights.
-_LOWEST = -7.6
+#: Sine of the altitude above which the sun comes within half an hour of the middle of an hour that it lights.
+_LOWEST_SINE = float(np.sin(np.deg2rad(-7.6)))
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A vector towards the sun (x east, y north, z up), its irradiance normal to its rays (``direct``) and that of the
+    sky on the horizontal (``diffuse``), in W/m^2."""
+
+    sun: tuple[float, float, float]
+    direct: float
+    diffuse: float
 
 
 @dataclass(frozen=True)
@@ -63,8 +73,8 @@ class Weather:
         """Unit vectors (n, 3) towards the sun at the middles of the hours, x east, y north, z up."""
         return sun_direction(self.latitude, self.longitude, self.times)
 
-    def sky(self, hour: int, ground: float = GROUND) -> Sky | None:
-        """The all-weather sky of an hour, counted from 0; None if the sky gives no light.
+    def beam(self, hour: int) -> Beam | None:
+        """The sun and the irradiances of an hour, counted from 0; None if there is no light.
 
         In an hour of sunrise or sunset with the sun below the horizon at its middle, the sun is at the horizon. Raises
         :class:`LightingError` if an irradiance of the hour is missing, or not zero at night.
@@ -72,23 +82,39 @@ class Weather:
         if not 0 <= hour < len(self.times):
             raise LightingError(f"{self.place} has weather of the hours 0 to {len(self.times) - 1}, not of hour {hour}")
         direct, diffuse = float(self.direct_normal[hour]), float(self.diffuse_horizontal[hour])
-        when = f"hour {hour} of {self.place} ({self._local(hour)})"
+        when = f"hour {hour} of {self.place} ({self.local_time(hour)})"
         if np.isnan(direct) or np.isnan(diffuse):
             raise LightingError(f"{when} has no direct or diffuse irradiance; fill the gap in the EPW file")
         if direct + diffuse == 0.0:
             return None
         time = self.times[hour : hour + 1]
         x, y, z = sun_direction(self.latitude, self.longitude, time)[0].tolist()
-        if z < np.sin(np.deg2rad(_LOWEST)):
+        if z < _LOWEST_SINE:
             raise LightingError(
                 f"{when} has {direct + diffuse:g} W/m^2 with the sun {-np.degrees(np.arcsin(z)):.0f} degrees below the "
                 "horizon; correct longitude and time zone of the EPW file"
             )
+        return Beam((x, y, max(z, 0.0)), direct, diffuse)
+
+    def sky(self, hour: int, ground: float = GROUND) -> Sky | None:
+        """The all-weather sky of an hour, counted from 0; None if the sky gives no light. Sun and errors are those of
+        :meth:`beam`."""
+        if (beam := self.beam(hour)) is None:
+            return None
         dew_point = self.dew_point[hour]
         moist = {} if np.isnan(dew_point) else {"dew_point": float(dew_point)}
-        return perez_sky((x, y, max(z, 0.0)), direct, diffuse, day=float(day_of_year(time)[0]), ground=ground, **moist)
+        day = float(day_of_year(self.times[hour : hour + 1])[0])
+        return perez_sky(beam.sun, beam.direct, beam.diffuse, day=day, ground=ground, **moist)
 
-    def _local(self, hour: int) -> str:
+    def check(self) -> None:
+        """Raise the error of the first hour of which :meth:`sky` raises one: before a run that needs all skies."""
+        light = self.direct_normal + self.diffuse_horizontal
+        wrong = np.isnan(light) | ((light > 0.0) & (self.sun()[:, 2] < _LOWEST_SINE))
+        if wrong.any():
+            self.sky(int(np.argmax(wrong)))
+
+    def local_time(self, hour: int) -> str:
+        """The middle of an hour in local standard time, as "2023-06-21 11:30"."""
         shift = np.timedelta64(round(self.time_zone * 60.0), "m")
         return str((self.times[hour] + shift).astype("datetime64[m]")).replace("T", " ")
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from etendue import film
-from etendue.core import OptionError, checked_path
+from etendue.core import OptionError, checked_path, format_count
 from etendue.engine import Budget, Job, Product, RunResult, Task, silent
 from etendue.lighting import AnnualDaylight, DaylightCoefficients, Meters, Weather
 from etendue.methods import SkyTracing
@@ -19,6 +19,7 @@ from etendue.scene import Problem
 
 from .files import PathLike, Writing, check_files, listed, rescued
 from .pictures import developed
+from .readings import warn_of_dark
 
 #: Paths of each meter, if there is no limit.
 _PATHS = 1 << 16
@@ -70,7 +71,7 @@ class DaylightResult:
     def summary(self) -> str:
         """The number of coefficients, and the metrics of the year."""
         n, p, _ = self.coefficients.values.shape
-        text = f"{n} meters, {p} patches of the sky"
+        text = f"{format_count(n, 'meter')}, {p} patches of the sky"
         if self.annual is not None:
             year = self.annual
             text += (
@@ -96,7 +97,9 @@ class Daylight(Product[DaylightResult]):
     @classmethod
     def of(cls, meters: Meters, weather: Weather | None, outputs: PathLike | Sequence[PathLike] = ()) -> Daylight:
         """Check and make. Raises :class:`OptionError` for files that cannot be made, :class:`OutputError` for those
-        that cannot be written."""
+        that cannot be written, :class:`LightingError` for weather with gaps."""
+        if weather is not None:
+            weather.check()
         paths = tuple(check_daylight_file(path, weather is not None) for path in listed(outputs))
         check_files(paths)
         return cls(meters, weather, paths)
@@ -119,6 +122,7 @@ class Daylight(Product[DaylightResult]):
         method = job.method
         assert isinstance(method, SkyTracing)
         values, errors = method.coefficients(run.measurement)
+        warn_of_dark(values.sum(axis=1), self.meters, "see nothing of the sky")
         about = developed(run, job.problem, job.seed).metadata
         coefficients = DaylightCoefficients(self.meters, method.patches, values, errors, about)
         tell("the hours of the year")

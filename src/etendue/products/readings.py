@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import Array, Method, OptionError, Settings, checked_path, logger, warn_of_nonfinite
-from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, silent
+from etendue.engine import Budget, Job, Product, RunResult, Task, check_period, fitting_samples, silent
 from etendue.lighting import EFFICACY, Meters, photometric
 from etendue.scene import Problem
 
@@ -23,8 +23,9 @@ from .pictures import developed
 
 #: Camera paths of each meter, if there is no limit, and passes of a run, whose variance gives the standard error.
 _PATHS, _PASSES = 4096, 32
-#: Paths of a pass of a run that is limited in time or error, and most of a meter.
-_SHORT, _MOST = 1 << 17, 64
+#: Paths of a pass that takes a fraction of a second; most of a meter if nothing tells how many there will be, and at
+#: all (``samples_per_pass``).
+_SHORT, _MOST, _LARGEST = 1 << 17, 64, 4096
 #: Names of what is measured, by quantity: in watts, and in lumens.
 _RADIOMETRIC = {
     "irradiance": ("irradiance", "W/m^2"),
@@ -213,10 +214,13 @@ class MeterTable(Product[Readings]):
 
     def settings(self, task: Task, problem: Problem, budget: Budget) -> Settings:
         """Those of the task: the depth of paths in pictures of the scene does not apply. Without a number of samples,
-        passes are short, so that there are several for the standard error."""
-        given = dict(task.settings)
+        passes are short, so that there are several for the standard error. With one, those of few meters are longer
+        than those of pictures, which have more pixels."""
+        given, most = dict(task.settings), _SHORT // len(self.meters)
         if budget.samples is None:
-            given.setdefault("samples_per_pass", min(max(1, _SHORT // len(self.meters)), _MOST))
+            given.setdefault("samples_per_pass", min(max(1, most), _MOST))
+        elif (enough := min(most, budget.samples // _PASSES, _LARGEST)) > _MOST:
+            given.setdefault("samples_per_pass", fitting_samples(budget.samples, enough))
         made: Settings = task.method.Settings.from_mapping(given, owner=f"method '{task.method.name}'")
         return made
 
@@ -247,14 +251,10 @@ class MeterTable(Product[Readings]):
             for v in (run.measurement.mean("image"), run.measurement.variance_of_mean("image"))
         )
         result = Readings(self.meters, values, np.sqrt(variance), developed(run, job.problem, job.seed).metadata)
-        if run.stopped_by != "running" and len(dark := np.flatnonzero(~values.any(axis=1))):
-            first = np.round(self.meters.points[dark[0]], 4).tolist()
-            logger.warning(
-                "%d of %d meters read 0, as number %d at %s: light does not reach them, or they are inside of solids",
-                *(len(dark), len(values), dark[0], first),
-            )
-        if run.stopped_by != "running" and np.isnan(result.errors).all():
-            logger.warning("the standard errors are not known after a single pass; give more time or more paths")
+        if run.stopped_by != "running":
+            warn_of_dark(values, self.meters, "read 0")
+            if np.isnan(result.errors).all():
+                logger.warning("the standard errors are not known after a single pass; give more time or more paths")
         writing = Writing()
         if self.checkpoint is not None:
             with writing.attempt(f"write '{self.checkpoint}'"):
@@ -271,6 +271,15 @@ class MeterTable(Product[Readings]):
                 write(path)
         writing.finish()
         return result
+
+
+def warn_of_dark(values: Array, meters: Meters, what: str) -> None:
+    """Warn of meters of which all ``values`` (n, k) are 0. ``what`` they do: ``read 0``."""
+    if len(dark := np.flatnonzero(~values.any(axis=1))):
+        logger.warning(
+            "%d of %d meters %s, as number %d at %s: light does not reach them, or they are inside of solids",
+            *(len(dark), len(values), what, dark[0], np.round(meters.points[dark[0]], 4).tolist()),
+        )
 
 
 def check_readings_file(path: PathLike, meters: Meters) -> Path:

@@ -92,7 +92,7 @@ def _patches(
     """The source and the product of a run on patches. Raises :class:`CheckpointError` for other notes."""
     from etendue.radiosity import LineCasting, PartSource, PatchSource
 
-    from .patches import FormFactorProduct, SolutionFiles, SolutionProduct
+    from .patches import FormFactorProduct, PatchDaylight, SolutionFiles, SolutionProduct
 
     made: PatchProduct[Any]
     try:
@@ -102,10 +102,11 @@ def _patches(
             place, known = _of_earlier_version(saved.notes.pop("lines"))
         kind = known.pop("kind")
         common: dict[str, Any] = {"checkpoint": path, "save_every": save_every}
-        if kind == FormFactorProduct.kind:
+        if kind in (FormFactorProduct.kind, PatchDaylight.kind):
             saved_outputs = known.pop("outputs")
             files = outputs or tuple(map(Path, saved_outputs))
-            made = FormFactorProduct(**known, outputs=files, **common)
+            product: Any = FormFactorProduct if kind == FormFactorProduct.kind else PatchDaylight
+            made = product(**known, outputs=files, **common)
         else:
             before = SolutionFiles.from_dict(known.pop("outputs"))
             made = SolutionProduct(**known, outputs=before.renamed(outputs) if outputs else before, **common)

@@ -60,7 +60,7 @@ from .factors.corrections import (
     check_threshold as check_threshold,
     corrected as corrected,
 )
-from .factors.exact import exact_form_factors as exact_form_factors
+from .factors.exact import EXACT_TOLERANCE as EXACT_TOLERANCE, exact_form_factors as exact_form_factors
 from .factors.formfactors import (
     ESTIMATORS as ESTIMATORS,
     Estimator as Estimator,
@@ -93,6 +93,7 @@ from .files.results import (
     save_solution as save_solution,
 )
 from .files.solutionfiles import read_solution as read_solution, solution_metadata as solution_metadata
+from .files.sunfiles import check_sun_file as check_sun_file, save_sunlight as save_sunlight
 from .gradients import Gradient as Gradient, gradient as gradient, gradient_error as gradient_error
 from .heat import Conditions as Conditions, HeatBalance as HeatBalance, heat_balance as heat_balance
 from .hierarchical_factors.allocation import (
@@ -148,6 +149,7 @@ from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
 from .pointviews import PointViews as PointViews, point_views as point_views
 from .problem import PatchProblem as PatchProblem
+from .solvers.daylight import daylight_of_patches as daylight_of_patches
 from .solvers.lamps import lamp_light as lamp_light
 from .solvers.multipath import Multipath as Multipath, multipath as multipath, multipath_bundles as multipath_bundles
 from .solvers.multipath_passes import MultipathPasses as MultipathPasses, MultipathSettings as MultipathSettings
@@ -180,3 +182,4 @@ from .sources import (
     PatchSource as PatchSource,
     part_ingredients as part_ingredients,
 )
+from .sunlight import Sunlight as Sunlight, sunlight as sunlight

@@ -23,10 +23,15 @@ _FLAT = 1e-6
 _NAMED = 20
 
 
-def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> tuple[Index, Index]:
+def flat_faces(
+    vertices: Array, faces: ArrayLike | Sequence[Sequence[int]], numbers: Index | None = None
+) -> tuple[Index, Index]:
     """Flat and convex faces (f, 4), and for each the row of ``faces`` that contains it.
 
-    Raises :class:`PatchError` if there are none, for another number of corners, and for indices out of range.
+    numbers: of the faces, for messages.
+
+    Raises :class:`PatchError` if there are none, for another number of corners, for indices out of range, and for a
+    face that crosses itself.
     """
     quads = _four_corners(faces)
     if len(quads) == 0:
@@ -44,7 +49,10 @@ def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> t
     bent = np.flatnonzero(_is_bent(vertices, quads))
     if len(bent) == 0:
         return quads, np.arange(len(quads))
-    halves = _halves(vertices, quads[bent])
+    halves, crossed = _halves(vertices, quads[bent])
+    if crossed.any():
+        bad = bent[crossed][0]
+        raise PatchError(f"face {bad if numbers is None else numbers[bad]} crosses itself: cut it into triangles")
     rows = np.concatenate([np.delete(np.arange(len(quads)), bent), np.repeat(bent, 2)])
     order = np.argsort(rows, kind="stable")
     return np.concatenate([np.delete(quads, bent, axis=0), halves])[order], rows[order]
@@ -113,10 +121,15 @@ def _is_bent(vertices: Array, quads: Index) -> NDArray[np.bool_]:
     return bent & (quads[:, 2] != quads[:, 3])
 
 
-def _halves(vertices: Array, quads: Index) -> Index:
-    """Two consecutive triangles for each quadrilateral, along the diagonal that keeps the orientation of both."""
+def _halves(vertices: Array, quads: Index) -> tuple[Index, NDArray[np.bool_]]:
+    """Two consecutive triangles for each quadrilateral, along the diagonal that keeps the orientation of both; and
+    whether none does."""
     one = np.stack([quads[:, [0, 1, 2, 2]], quads[:, [0, 2, 3, 3]]], axis=1)
     other = np.stack([quads[:, [1, 2, 3, 3]], quads[:, [1, 3, 0, 0]]], axis=1)
-    first, second = (face_vectors(vertices, one[:, i])[0] for i in range(2))
-    upright = (first * second).sum(axis=1) > 0
-    return np.where(upright[:, None, None], one, other).reshape(-1, 4)
+    upright, turned = [], []
+    for halves in one, other:
+        (first, no_first), (second, no_second) = (face_vectors(vertices, halves[:, i]) for i in range(2))
+        product = (first * second).sum(axis=1)
+        upright.append(product > 0)
+        turned.append((product < 0) & ~no_first & ~no_second)
+    return np.where(upright[0][:, None, None], one, other).reshape(-1, 4), turned[0] & turned[1]

@@ -9,9 +9,12 @@ import ctypes
 import importlib.metadata
 import os
 import platform
+import re
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from rich.console import Console
@@ -19,6 +22,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from etendue.core import EtendueError, backend, llvm
+
+from ..console import say
 
 Status = Literal["ok", "warn", "fail"]
 
@@ -83,11 +88,35 @@ def render(checks: list[Check], console: Console) -> None:
             console.print(line, highlight=False, soft_wrap=True)
 
 
-def run_doctor(console: Console) -> int:
-    """Diagnose and print. Exit status 0 if étendue can render here, 1 if not."""
+def run_doctor(console: Console, as_report: bool = False) -> int:
+    """Diagnose and print, as a table or :func:`report`. Exit status 0 if étendue can render here, 1 if not."""
     checks = diagnose()
-    render(checks, console)
+    if as_report:
+        say(report(checks))
+    else:
+        render(checks, console)
     return int(any(check.status == "fail" for check in checks))
+
+
+def report(checks: list[Check]) -> str:
+    """What a report of a fault should contain: checks, packages and the cache of kernels, in one text without names of
+    the user's folders."""
+    lines = [f"{check.name}: {check.status}, {check.finding}" for check in checks]
+    lines += [f"processor: {os.cpu_count()} threads, {platform.platform()}"]
+    named = sorted({re.split(r"[ <>=;\[]", need)[0] for need in importlib.metadata.requires("etendue") or ()})
+    found = []
+    for name in named:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found.append(f"{name} {importlib.metadata.version(name)}")
+    kernels = list((Path.home() / ".drjit").glob("*.cache")) + list((Path.home() / ".drjit").glob("*.bin"))
+    size = sum(path.stat().st_size for path in kernels)
+    lines += [f"packages: {', '.join(found)}", f"kernel cache: {len(kernels)} files, {size / 1e6:.1f} MB"]
+    text = "\n".join(lines)
+    folders = {sys.prefix: "ENVIRONMENT", sys.base_prefix: "PYTHON", os.getcwd(): "HERE", str(Path.home()): "~"}
+    for folder in sorted(folders, key=len, reverse=True):
+        if len(folder) > 1:
+            text = text.replace(folder, folders[folder])
+    return text
 
 
 def _python() -> Check:

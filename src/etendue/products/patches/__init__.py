@@ -1,6 +1,7 @@
 """Form factors and solutions: what is made from lines through patches, and its files."""
 
 from .base import PatchProduct as PatchProduct
+from .daylight import DaylightRun as DaylightRun, PatchDaylight as PatchDaylight, daylight_run as daylight_run
 from .factors import FormFactorProduct as FormFactorProduct
 from .gathering import picture as picture
 from .illuminance import illuminance_text as illuminance_text
@@ -11,6 +12,7 @@ from .solution_files import (
     files_and_lightmap as files_and_lightmap,
 )
 from .solutions import SolutionProduct as SolutionProduct
+from .sunshine import make_sunlight as make_sunlight
 from .tasks import (
     AtOnce as AtOnce,
     FactorRun as FactorRun,

@@ -15,6 +15,7 @@ from etendue.engine import Budget, Job, RunResult, Task, silent
 from etendue.lighting import SkyPatches, compass
 from etendue.radiosity import (
     ESTIMATORS,
+    EXACT_TOLERANCE,
     Correction,
     FormFactors,
     HierarchicalCasting,
@@ -65,6 +66,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     north: float = 0.0
     sky_patches: int | None = None
     outputs: tuple[Path, ...] = ()
+    tolerance: float | None = None  #: of form factors by integrals
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,9 +125,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def default_budget(self, task: Task, problem: PatchProblem) -> Budget:
         """See :class:`PatchProduct`; with patches of the sky, some bundles for each."""
         usual = super().default_budget(task, problem)
-        if self.sky_patches is None or usual.samples is None:
-            return usual
-        return Budget(samples=max(usual.samples, 1 << (_BUNDLES_PER_PATCH * self._sky.count - 1).bit_length()))
+        return usual if self.sky_patches is None else with_sky_patches(usual, self._sky)
 
     def _corrected(self, factors: FormFactors) -> tuple[FormFactors, Correction | None]:
         if not self._asked:
@@ -163,13 +163,13 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def at_once(
         self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
     ) -> FormFactorResult:
-        """Form factors by integrals instead of lines, of surfaces that hide nothing from each other."""
+        """Form factors by integrals instead of lines."""
         problem = source.open(tell)
         self.check(problem)
         on_patches(problem.patches)
         tell("integrating over contours")
         begin = time.perf_counter()
-        factors, correction = self._corrected(exact_form_factors(problem.patches))
+        factors, correction = self._corrected(exact_form_factors(problem.patches, self.tolerance or EXACT_TOLERANCE))
         elapsed, writing = time.perf_counter() - begin, Writing()
         groups = self._write(writing, problem.patches, factors, about(problem.source, estimator="exact", **self._asked))
         writing.finish()
@@ -193,3 +193,9 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             with writing.attempt(f"write '{path}'"):
                 save_form_factors(path, groups or factors, emissivity=emissivity, metadata=known)
         return groups
+
+
+def with_sky_patches(usual: Budget, sky: SkyPatches) -> Budget:
+    """A budget of bundles with some for each patch of the sky."""
+    least = 1 << (_BUNDLES_PER_PATCH * sky.count - 1).bit_length()
+    return Budget(samples=max(usual.samples or 0, least))

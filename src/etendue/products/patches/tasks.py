@@ -20,7 +20,9 @@ from .solution_files import SolutionFiles
 from .solutions import BOXES, SolutionProduct
 
 #: Methods without passes.
-EXACT, AMBIENT = "exact", "ambient"
+EXACT, AMBIENT, AUTO = "exact", "ambient", "auto"
+#: Most patches of form factors that `auto` integrates; by lines they take a second, with a hundred times the error.
+_FEW_PATCHES = 1500
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class PatchRun:
     checkpoint_beside: Path | None = None
     save_every: float | None = None
     is_watched: bool = False
+    tell: Callable[[str], object] = logger.info
 
     def check_settings(self, function: Callable[..., Any]) -> None:
         """Raise :class:`OptionError` for settings that the method does not have, which may be misspelt arguments of
@@ -76,8 +79,8 @@ class PatchRun:
             common["if_stopped" if stores_lines else "checkpoint"] = self.checkpoint_beside
         return common
 
-    def _refuse_limits(self, what: str) -> None:
-        names = [name for name, value in self.limits.items() if value is not None]
+    def _refuse_limits(self, what: str, *but: str) -> None:
+        names = [name for name, value in self.limits.items() if value is not None and name not in but]
         names += ["checkpoint"] * (self.checkpoint is not None) + list(self.settings)
         if names:
             raise OptionError(f"{what}: no lines are cast, so leave out {', '.join(names)}")
@@ -116,14 +119,31 @@ class FactorRun(PatchRun):
         estimator = self.estimator or ("F4" if around else "F1")
         names = ("row_sums", "reciprocal", "threshold", "groups", "up", "north", "sky_patches", "outputs")
         asked = {name: getattr(self, name) for name in names}
+        if method == AUTO:
+            method = self._chosen(source)
         product = FormFactorProduct(**self._common(method), estimator=estimator, **asked)
         if product.up is not None and method != LineCasting.name:
             raise OptionError(f"up and sky_patches are for method {LineCasting.name}, whose lines have directions")
         if method == EXACT:
-            self._refuse_limits("method exact")
+            self._refuse_limits("method exact", "error")
+            product.tolerance = self.limits.get("error")
             product.check_files(False)
             return AtOnce(source, product)
-        return self._task(source, chosen(method, (*FACTORS, EXACT), "form factors"), product)
+        return self._task(source, chosen(method, (*FACTORS, EXACT, AUTO), "form factors"), product)
+
+    def _chosen(self, source: PatchSource) -> str:
+        """Integrals or lines, by the number of patches and by what is asked for; ``tell`` gets the reason."""
+        patches = source.open(silent).patches
+        others = [name for name, value in self.limits.items() if value is not None and name != "error"]
+        others += ["up"] * (self.up is not None) + ["sky_patches"] * (self.sky_patches is not None)
+        others += ["checkpoint"] * (self.checkpoint is not None) + list(self.settings)
+        why = f"{others[0]} is asked for" if others else ""
+        if not why and len(patches) > _FEW_PATCHES:
+            why = f"{len(patches)} patches are more than {_FEW_PATCHES}"
+        if not why and len(patches.coincident.pairs):
+            why = "faces lie on each other"
+        self.tell(f"method lines: {why}" if why else f"method exact: there are {len(patches)} patches")
+        return LineCasting.name if why else EXACT
 
 
 @dataclass(kw_only=True)

@@ -1,4 +1,5 @@
-"""Loops compiled for the CPU by Numba: form factors of unoccluded flat polygons by contour integrals.
+"""Loops compiled for the CPU by Numba: form factors of flat polygons by contour integrals; of those that others hide in
+part, see ``occlusion``.
 
     A_i F_ij = 1 / (2 pi) times the integral over both contours of ln r dx . dy          [Sparrow 1963]
 
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 
+from .occlusion import CORNERS, PIECES, cut, hidden_exchange, polygon_area
+
 #: A corner this close to a plane counts as lying in it, because of the error of single precision.
 _IN_PLANE = 1e-7
 #: Faces must extend this far into the space between two others to occlude them.
@@ -39,43 +42,68 @@ _POINTS[3] = _POINTS[3] ** 3 * (10 - 15 * _POINTS[3] + 6 * _POINTS[3] ** 2)
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def exchange_rows(
-    sides: Array, planes: Array, patch: NDArray[np.int64], blockers: Array, first: int, last: int, exchange: Array
+    sides: Array,
+    planes: Array,
+    patch: NDArray[np.int64],
+    blockers: Array,
+    boxes: Array,
+    nodes: NDArray[np.int64],
+    first: int,
+    last: int,
+    tolerance: float,
+    exchange: Array,
+    errors: Array,
 ) -> tuple[int, int, int]:
-    """Add A_i F_ij between sides ``first`` to ``last - 1`` and all later sides to ``exchange[i, j]``.
+    """Add A_i F_ij between sides ``first`` to ``last - 1`` and all later sides to ``exchange[i, j]``, and estimates of
+    errors to ``errors[i, j]``.
 
     sides (s, 4, 3) in ascending order of their patch (s,), backs without a patch last; blockers (b, 4, 3): faces that
-    may occlude others. Returns the first two sides with an occluder between them, and the occluder; -1 if there is
-    none.
+    may occlude others, in a tree of ``boxes`` (t, 2, 3) and ``nodes`` (t, 3): the number of the first blocker of a leaf
+    and behind its last, and the node that follows if a box is left out. tolerance: of A F of pairs that are hidden in
+    part, in units of the smaller area. Returns the number of pairs that were, and the sides of one with more pieces
+    than there is room for, else -1.
     """
-    buffers, polygons, plane = np.empty((2, 32, 3)), np.empty((2, 8, 3)), np.empty(4)
+    buffers, polygons = np.empty((2, 32, 3)), np.empty((2, 8, 3))
+    pieces, sizes = np.empty((2, PIECES, CORNERS, 3)), np.empty((2, PIECES), np.int64)
+    work, bounds = np.empty((4, CORNERS, 3)), np.empty((2, 3))
+    hull, chosen, hidden = np.empty((64, 4)), np.empty(len(blockers), np.int64), 0
     for a in range(first, last):
         for b in range(a + 1, len(sides)):
-            value, blocker = _exchange(sides[a], planes[a], sides[b], planes[b], blockers, polygons, buffers, plane)
-            if blocker >= 0:
-                return a, b, blocker
+            m, n = _in_front(sides[a], planes[b], polygons[0]), 0
+            if m > 2:
+                n = _in_front(sides[b], planes[a], polygons[1])
+            if n < 3:
+                continue
+            p, q = polygons[0, :m], polygons[1, :n]
+            count = _between(p, planes[a], q, planes[b], blockers, boxes, nodes, hull, buffers, bounds, chosen)
+            if count == 0:
+                exchange[patch[a], patch[b]] += _of_contours(p, q)
+                continue
+            largest = 0
+            for k in range(1, count):  # what hides most comes first
+                if polygon_area(blockers[chosen[k]]) > polygon_area(blockers[chosen[largest]]):
+                    largest = k
+            chosen[0], chosen[largest] = chosen[largest], chosen[0]
+            least = tolerance * min(polygon_area(p), polygon_area(q))
+            value, error, done = hidden_exchange(
+                p, planes[a], q, planes[b], blockers, chosen, count, least, pieces, sizes, work
+            )
+            if not done:
+                return hidden, a, b
+            hidden += 1
             exchange[patch[a], patch[b]] += value
-    return -1, -1, -1
+            errors[patch[a], patch[b]] += error
+    return hidden, -1, -1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _exchange(
-    p: Array, of_p: Array, q: Array, of_q: Array, blockers: Array, polygons: Array, buffers: Array, plane: Array
-) -> tuple[float, int]:
-    """A F of two sides, and the index of the face that occludes them, or -1."""
-    m, n = _in_front(p, of_q, polygons[0]), 0
-    if m > 2:
-        n = _in_front(q, of_p, polygons[1])
-    if n < 3:
-        return 0.0, -1
-    p, q = polygons[0, :m], polygons[1, :n]
-    for k in range(len(blockers)):
-        if _stands_between(blockers[k], p, of_p, q, of_q, buffers, plane):
-            return 0.0, k
-    total = 0.0
+def _of_contours(p: Array, q: Array) -> float:
+    """A F of two polygons that see each other."""
+    total, m, n = 0.0, len(p), len(q)
     for i in range(m):
         for j in range(n):
             total += _edges(p[i], p[(i + 1) % m], q[j], q[(j + 1) % n])
-    return max(total / (2 * math.pi), 0.0), -1
+    return max(total / (2 * math.pi), 0.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -190,27 +218,7 @@ def _in_front(p: Array, plane: Array, result: Array) -> int:
     if _nearest(p, plane) >= -_IN_PLANE:
         result[: len(p)] = p
         return len(p)
-    return _cut(p, len(p), plane, result)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _cut(p: Array, count: int, plane: Array, result: Array) -> int:
-    """Write to ``result`` the part of a convex polygon of ``count`` corners where ``n . x > c``, and return its number
-    of corners."""
-    made = 0
-    for i in range(count):
-        here, there = p[i], p[(i + 1) % count]
-        h = plane[0] * here[0] + plane[1] * here[1] + plane[2] * here[2] - plane[3]
-        t = plane[0] * there[0] + plane[1] * there[1] + plane[2] * there[2] - plane[3]
-        if h > 0:
-            result[made] = here
-            made += 1
-        if (h > 0) != (t > 0):
-            share = h / (h - t)
-            for c in range(3):
-                result[made, c] = here[c] + share * (there[c] - here[c])
-            made += 1
-    return made
+    return cut(p, len(p), plane[0], plane[1], plane[2], plane[3], result)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -232,36 +240,106 @@ def _farthest(p: Array, plane: Array) -> float:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _stands_between(face: Array, p: Array, of_p: Array, q: Array, of_q: Array, buffers: Array, plane: Array) -> bool:
-    """Whether a face intersects the convex hull of two polygons, each of which is in front of the other's plane.
+def _between(
+    p: Array,
+    of_p: Array,
+    q: Array,
+    of_q: Array,
+    blockers: Array,
+    boxes: Array,
+    nodes: NDArray[np.int64],
+    hull: Array,
+    buffers: Array,
+    bounds: Array,
+    chosen: NDArray[np.int64],
+) -> int:
+    """Write to ``chosen`` the blockers that intersect the convex hull of two polygons, each of which is in front of the
+    other's plane, and return their number.
 
-    The face is clipped by every plane that bounds the hull: the planes of both polygons, and planes through an edge of
+    Blockers are clipped by every plane that bounds the hull: the planes of both polygons, and planes through an edge of
     one and a corner of the other with both polygons on one side.
     """
+    if len(nodes) == 0:
+        return 0
+    low, high = bounds
     for c in range(3):
-        low = high = p[0, c]
+        low[c] = high[c] = p[0, c]
         for i in range(1, len(p)):
-            low, high = min(low, p[i, c]), max(high, p[i, c])
+            low[c], high[c] = min(low[c], p[i, c]), max(high[c], p[i, c])
         for i in range(len(q)):
-            low, high = min(low, q[i, c]), max(high, q[i, c])
-        if max(max(face[0, c], face[1, c]), max(face[2, c], face[3, c])) < low:
+            low[c], high[c] = min(low[c], q[i, c]), max(high[c], q[i, c])
+    planes, count, node = 0, 0, 0
+    while node < len(nodes):
+        box = boxes[node]
+        apart = False
+        for c in range(3):
+            apart |= box[1, c] < low[c] or box[0, c] > high[c]
+        if not apart:
+            if planes == 0:
+                planes = _hull(p, of_p, q, of_q, hull)
+            apart = _is_outside(box, hull, planes)
+        if apart:
+            node = nodes[node, 2]
+            continue
+        for k in range(nodes[node, 0], nodes[node, 1]):
+            if _meets(blockers[k], low, high, hull, planes, buffers):
+                chosen[count] = k
+                count += 1
+        node += 1
+    return count
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _is_outside(box: Array, hull: Array, planes: int) -> bool:
+    """Whether a box is behind one of the planes of a hull."""
+    for k in range(planes):
+        far = -hull[k, 3]
+        for c in range(3):
+            far += hull[k, c] * (box[1, c] if hull[k, c] > 0 else box[0, c])
+        if far <= 0.0:
+            return True
+    return False
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _meets(face: Array, low: Array, high: Array, hull: Array, planes: int, buffers: Array) -> bool:
+    """Whether a face intersects a hull with these bounds."""
+    for c in range(3):
+        if max(max(face[0, c], face[1, c]), max(face[2, c], face[3, c])) < low[c]:
             return False
-        if min(min(face[0, c], face[1, c]), min(face[2, c], face[3, c])) > high:
+        if min(min(face[0, c], face[1, c]), min(face[2, c], face[3, c])) > high[c]:
+            return False
+    for k in range(planes):  # most faces are behind one of the planes
+        nx, ny, nz, d = hull[k, 0], hull[k, 1], hull[k, 2], hull[k, 3]
+        for i in range(4):
+            if nx * face[i, 0] + ny * face[i, 1] + nz * face[i, 2] > d:
+                break
+        else:
             return False
     rest, other, count = buffers[0], buffers[1], 4
-    rest[:4] = face
-    for k in range(2):
-        plane[:] = of_p if k == 0 else of_q
-        plane[3] += _BETWEEN
-        count = _cut(rest, count, plane, other)
+    for i in range(4):
+        for c in range(3):
+            rest[i, c] = face[i, c]
+    for k in range(planes):
+        count = cut(rest, count, hull[k, 0], hull[k, 1], hull[k, 2], hull[k, 3], other)
         rest, other = other, rest
         if count < 3:
             return False
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _hull(p: Array, of_p: Array, q: Array, of_q: Array, hull: Array) -> int:
+    """Write the planes of the hull of two polygons to ``hull``, a little inside of it, and return their number."""
+    hull[0], hull[1], count = of_p, of_q, 2
+    hull[0, 3] += _BETWEEN
+    hull[1, 3] += _BETWEEN
     for k in range(2):
         ours, theirs = (p, q) if k == 0 else (q, p)
         for i in range(len(ours)):
             for j in range(len(theirs)):
-                if not _through(ours[i], ours[(i + 1) % len(ours)], theirs[j], plane):
+                plane = hull[count]
+                if count == len(hull) - 1 or not _through(ours[i], ours[(i + 1) % len(ours)], theirs[j], plane):
                     continue
                 if min(_nearest(ours, plane), _nearest(theirs, plane)) < -_IN_PLANE:
                     plane *= -1.0
@@ -270,11 +348,8 @@ def _stands_between(face: Array, p: Array, of_p: Array, q: Array, of_q: Array, b
                 if max(_farthest(ours, plane), _farthest(theirs, plane)) <= _IN_PLANE:
                     continue
                 plane[3] += _BETWEEN
-                count = _cut(rest, count, plane, other)
-                rest, other = other, rest
-                if count < 3:
-                    return False
-    return True
+                count += 1
+    return count
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ def write_form_factors(
     file.add("emissivity", "patch", emissivity, "emissivity of the patch", _SHARE)
     _add_numbers(file, factors.numbers)
     if factors.name is not None and factors.name.any():
-        _add_texts(file, "name", "patch name_letter", factors.name, "name of the shape that the patch is of")
+        file.add_texts("name", "patch name_letter", factors.name, "name of the shape that the patch is of")
     file.write(path)
 
 
@@ -143,7 +143,7 @@ def write_solution(
     if patches.shapes is not None:
         file.add("shape", "patch", patches.shapes, "shape of the scene that the patch is of; -1 for none")
     if patches.shape_names:
-        _add_texts(file, "shape_name", "shapes letter", patches.shape_names, "name of the shape")
+        file.add_texts("shape_name", "shapes letter", patches.shape_names, "name of the shape")
     file.add("sky", "channel", patches.sky, "light that comes from where no face is", _PER_AREA)
     file.add("residual", "iteration", np.array(solution.residuals), "residual of the solution", _SHARE)
     file.write(path)
@@ -173,11 +173,6 @@ def _add_numbers(file: NetcdfFile, numbers: Mapping[str, Any]) -> None:
         file.add("face", "patch", face, "number of the first face of the patch in its mesh, counted from 0")
     if (label := numbers["label"]) is not None:
         file.add("label", "patch", label, "number of the patch, or of its face, where it was made")
-
-
-def _add_texts(file: NetcdfFile, name: str, dimensions: str, texts: Iterable[str], about: str) -> None:
-    encoded = np.array([text.encode() for text in texts])
-    file.add(name, dimensions, encoded.view("S1").reshape(len(encoded), -1), about, _Encoding="utf-8")
 
 
 def _texts(letters: NDArray[Any]) -> NDArray[np.str_]:

@@ -122,7 +122,7 @@ def warn_of_backs(share: float, what: str) -> None:
     """Warn if backs of faces have a large share of something."""
     if share > _DARK:
         logger.warning(
-            "%.2g %s backs of faces, which absorb everything: faces are turned the wrong way or lie on each other, or "
-            "the mesh is open; see etendue.radiosity.diagnose",
+            "%.2g %s backs of faces, which absorb everything: faces are turned the wrong way or lie on each other, the "
+            "mesh is open, or there are obstacles; see etendue.radiosity.diagnose",
             *(share, what),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,7 @@ def read_building(path: Path) -> MeshFile:
         surfaces = list(read(path, data))
     except KeyError as error:
         raise PatchError(f"{path}: an entry has no {error}") from None
-    except (AttributeError, TypeError, IndexError) as error:
+    except (AttributeError, TypeError, IndexError, ValueError) as error:
         raise PatchError(f"{path} is damaged: {error}") from None
     if not surfaces:
         raise PatchError(f"{path} has no surfaces")
@@ -65,8 +66,11 @@ def _energyplus(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     if "vertex_entry_direction" not in rules:
         raise PatchError(f"{path} has no GlobalGeometryRules with a vertex_entry_direction")
     # As seen from outside; the room is on the other side.
-    step = -1 if rules["vertex_entry_direction"].lower() == "counterclockwise" else 1
-    is_relative = rules.get("coordinate_system", "Relative").lower() == "relative"
+    step = {"counterclockwise": -1, "clockwise": 1}.get(rules["vertex_entry_direction"].lower())
+    system = rules.get("coordinate_system", "Relative").lower()
+    is_relative = system == "relative"
+    if step is None or not (is_relative or system in ("world", "worldcoordinatesystem", "absolute")):
+        raise PatchError(f"{path}: GlobalGeometryRules are of an unknown direction or coordinate system: {rules}")
     # EnergyPlus does not distinguish capitals in names.
     zones = {name.lower(): zone for name, zone in data.get("Zone", {}).items()}
     found: dict[str, Surface] = {}
@@ -116,10 +120,12 @@ def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     if "transform" in data:
         vertices = vertices * data["transform"]["scale"] + data["transform"]["translate"]
     objects: dict[str, Any] = data["CityObjects"]
-    # The finest level of detail of an object and of its parts: a building may have a footprint beside those.
+    # The finest level of detail of an object and of its parts (BuildingPart, not balconies), beside which it may have a
+    # footprint.
     levels = {name: max((_level(g) for g in item.get("geometry", [])), default=-1.0) for name, item in objects.items()}
     for name, item in objects.items():
-        finest = max([levels[name], *(levels.get(part, -1.0) for part in item.get("children", []))])
+        parts = [part for part in item.get("children", []) if objects[part]["type"].endswith("Part")]
+        finest = max(levels[part] for part in (name, *parts))
         for geometry in item.get("geometry", []):
             if _level(geometry) < finest:
                 continue
@@ -157,13 +163,23 @@ def _flat(boundaries: list[Any], values: list[Any] | None, depth: int) -> Iterat
             yield from _flat(inner, value, depth - 1)
 
 
+def _left_out(entry: dict[str, Any]) -> Counter[str]:
+    """How many surfaces of Honeybee are shades or of no room, by kind, in an entry and those in it."""
+    found: Counter[str] = Counter()
+    for key, value in entry.items():
+        if key.startswith("orphaned_") or key.endswith("_shades") or key == "shade_meshes":
+            found[key.replace("_", " ")] += len(value or ())
+        elif key in ("rooms", "faces", "apertures", "doors"):
+            found += sum(map(_left_out, value or ()), Counter())
+    return +found
+
+
 def _honeybee(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     unit = data.get("units", "Meters")
     if unit not in _UNITS:
         raise PatchError(f"{path}: units are {', '.join(_UNITS)}, not '{unit}'")
-    for kind in ("orphaned_faces", "orphaned_shades", "orphaned_apertures", "orphaned_doors", "shade_meshes"):
-        if data.get(kind):
-            logger.warning("%s: %d %s are of no room, and left out", path, len(data[kind]), kind.replace("_", " "))
+    for kind, count in _left_out(data).items():
+        logger.warning("%s: %d %s are left out: faces of rooms, their apertures and doors are read", path, count, kind)
 
     def polygon(entry: dict[str, Any], ring: Any) -> Array:
         return corners_of(ring, f"{path}: '{entry['identifier']}'")[::-1] * _UNITS[unit]  # normals point out of rooms

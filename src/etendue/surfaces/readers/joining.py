@@ -15,19 +15,23 @@ from .surfacefiles import MeshFile
 FILE, _SURFACES = "file", "surfaces"
 
 
-def joined_files(files: Sequence[tuple[str, MeshFile]], obstacles: Sequence[MeshFile] = ()) -> MeshFile:
+def joined_files(
+    files: Sequence[tuple[str, MeshFile]], obstacles: Sequence[MeshFile] = (), is_reflectance_given: bool = False
+) -> MeshFile:
     """The faces of ``files`` (name, mesh) and of ``obstacles``, which only occlude.
 
-    Arrays are those that all of ``files`` have, and ``"file"``; groups of the same name are one group. Raises
-    :class:`PatchError` for values of a format that some of the files have and others do not."""
+    Arrays are those that all of ``files`` have, and ``"file"``; groups of the same name are one group. Files without
+    emission do not emit. Raises :class:`PatchError` for reflectances that some of the files have and others do not,
+    unless they are given in place of these."""
     meshes = [mesh for _, mesh in files]
     every = [*meshes, *obstacles]
     counts = [int(mesh.rows[-1]) + 1 if len(mesh.rows) else 0 for mesh in every]
     first = np.cumsum([0, *counts])
     corner = np.cumsum([0, *(len(mesh.points) for mesh in every)])
-    for name in {name for mesh in meshes for name in mesh.own}:
-        if lacking := next((file for file, mesh in files if name not in mesh.own), None):
-            raise PatchError(f"{lacking} has no {name} as other files have; give the {name} of all")
+    own = {name for mesh in meshes for name in mesh.own}
+    lacking = next((file for file, mesh in files if "reflectance" not in mesh.own), None)
+    if "reflectance" in own and lacking is not None and not is_reflectance_given:
+        raise PatchError(f"{lacking} has no reflectance as other files have; give the reflectance of all")
     unseen = sum(counts[len(meshes) :])
 
     def all_rows(arrays: Sequence[Array]) -> Array:
@@ -35,7 +39,17 @@ def joined_files(files: Sequence[tuple[str, MeshFile]], obstacles: Sequence[Mesh
         whole = np.concatenate(arrays)
         return np.concatenate([whole, np.zeros((unseen, *whole.shape[1:]), whole.dtype)])
 
-    shared = [name for name in meshes[0].cells if all(name in mesh.cells for mesh in meshes)]
+    def own_values(name: str) -> Array:
+        """Of one channel if all files have one, else with that for all channels."""
+        every = [np.reshape(m.own.get(name, np.zeros(n)), (n, -1)) for m, n in zip(meshes, counts, strict=False)]
+        channels = max(values.shape[1] for values in every)
+        return all_rows([np.broadcast_to(values, (len(values), channels)) for values in every])
+
+    shared = [
+        name
+        for name, array in meshes[0].cells.items()
+        if all(name in mesh.cells and mesh.cells[name].shape[1:] == array.shape[1:] for mesh in meshes)
+    ]
     cells, names = {}, {}
     for name in shared:
         arrays = [mesh.cells[name] for mesh in meshes]
@@ -48,8 +62,8 @@ def joined_files(files: Sequence[tuple[str, MeshFile]], obstacles: Sequence[Mesh
         elif all(name in mesh.names for mesh in meshes):
             numbers: dict[str, int] = {}
             for k, mesh in enumerate(meshes):
-                words = [mesh.names[name].get(int(number), str(int(number))) for number in arrays[k]]
-                arrays[k] = np.array([numbers.setdefault(word, len(numbers)) for word in words])
+                words = [mesh.names[name].get(int(k), str(int(k))) if k >= 0 else "" for k in arrays[k]]
+                arrays[k] = np.array([numbers.setdefault(word, len(numbers)) if word else -1 for word in words])
             names[name] = {number: word for word, number in numbers.items()}
         cells[name] = all_rows(arrays)
     cells[FILE] = all_rows([np.full(count, k) for k, count in enumerate(counts[: len(meshes)])])
@@ -66,5 +80,5 @@ def joined_files(files: Sequence[tuple[str, MeshFile]], obstacles: Sequence[Mesh
         if any(mesh.ids is not None for mesh in every)
         else None,
         obstacles=np.concatenate([*hidden, np.arange(first[len(meshes)], first[-1])]),
-        own={name: all_rows([mesh.own[name] for mesh in meshes]) for name in meshes[0].own},
+        own={name: own_values(name) for name in own},
     )

@@ -90,7 +90,8 @@ def read_patches(
     mesh = _read(path)
     if more or obstacles:
         files = [(Path(name).stem, _read(Path(name))) for name in more]
-        mesh = joined_files([(path.stem, mesh), *files], [_read(Path(name)) for name in obstacles])
+        hidden = [_read(Path(name)) for name in obstacles]
+        mesh = joined_files([(path.stem, mesh), *files], hidden, is_reflectance_given=reflectance is not None)
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
@@ -244,7 +245,7 @@ def broken_faces(
             "the mesh"
         )
     try:
-        quads, halves = flat_faces(vertices, faces)
+        quads, halves = flat_faces(vertices, faces, rows)
     except PatchError as error:
         raise PatchError(f"{where}: {error}") from None
     _, flat = face_vectors(vertices, quads)

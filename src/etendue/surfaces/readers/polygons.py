@@ -28,6 +28,9 @@ _WORDS |= {b"unsigned_" + word: b"vtktypeuint%d" % size for word, size in _SIZES
 _ARRAY = re.compile(
     rb"^((?:SCALARS \S+|\S+ \d+ \d+) )((?:unsigned_)?(?:char|short|int|long))( \d+)?(?=[ \t\r]*$)", re.M
 )
+#: Depth of a crossing of a polygon with itself that counts as none, as an area in units of the squared size: cities are
+#: rounded to millimetres.
+_TOUCHING = 1e-4
 #: Sections of VTK's PolyData that are no polygons.
 _NO_POLYGONS = {b"VERTICES": "vertices", b"LINES": "lines", b"TRIANGLE_STRIPS": "triangle strips"}
 
@@ -59,11 +62,13 @@ def cut_polygons(points: Array, polygons: list[list[int]]) -> tuple[Index, Index
 
 def ears(corners: Array) -> list[tuple[int, int, int]] | None:
     """Triangles of a polygon (k, 3), as numbers of corners, cut off one by one as ears: at convex corners whose
-    triangle contains no other corner, the best shaped first. ``None`` if there is none."""
+    triangle contains no other corner, the best shaped first. ``None`` for a polygon that crosses itself."""
     turned = np.roll(corners, -1, axis=0)
     normal = np.cross(corners - corners[0], turned - corners[0]).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(corners, axis, axis=1) * [1.0, 1.0 if (normal[axis] > 0) == (axis != 1) else -1.0]
+    if _crosses_itself(flat):
+        return None
     left, triangles = list(range(len(corners))), []
     while len(left) > 3:
         ring = np.array(left)
@@ -86,6 +91,14 @@ def ears(corners: Array) -> list[tuple[int, int, int]] | None:
         else:
             return None
     return [*triangles, (left[0], left[1], left[2])]
+
+
+def _crosses_itself(flat: Array) -> bool:
+    """Whether two edges of a polygon (k, 2) cross, that is, have the ends of each other on both sides."""
+    side = _area(flat[:, None], np.roll(flat, -1, axis=0)[:, None], flat)
+    side[np.abs(side) < _TOUCHING * np.ptp(flat, axis=0).max() ** 2] = 0.0
+    is_cut = side * np.roll(side, -1, axis=1) < 0
+    return bool((is_cut & is_cut.T).any())
 
 
 def _area(a: Array, b: Array, c: Array) -> Array:
@@ -112,10 +125,12 @@ def read_off(path: Path) -> _Polygons:
             raise PatchError(
                 f"{path} is cut off: it has {len(lines) - 1} lines for {vertices} vertices and {faces} faces"
             )
-        points = np.array([words[:3] for words in lines[1 : 1 + vertices]], dtype=np.float64).reshape(-1, 3)
+        points = np.array([words[:3] for words in lines[1 : 1 + vertices]], dtype=np.float64).reshape(vertices, 3)
         rows = lines[1 + vertices : 1 + vertices + faces]
-        return points, [[int(word) for word in words[1 : 1 + int(words[0])]] for words in rows], {}, {}
-    except (ValueError, IndexError) as error:
+        return points, [[int(words[1 + k]) for k in range(int(words[0]))] for words in rows], {}, {}
+    except IndexError:
+        raise PatchError(f"{path} cannot be read as a mesh: a line has too few numbers") from None
+    except ValueError as error:
         raise PatchError(f"{path} cannot be read as a mesh: {error}") from error
 
 
@@ -142,7 +157,7 @@ def read_obj(path: Path) -> _Polygons:
                 groups.append(group)
                 for kind in _GROUPS:
                     numbered[kind].append(current[kind])
-        vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
+        vertices = np.array(points, dtype=np.float64).reshape(len(points), 3)
     except ValueError as error:
         raise PatchError(f"{path} cannot be read as a mesh: {error}") from error
     cells = {"obj:group_ids": np.array(groups)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,15 +13,19 @@ from etendue.core import Array, logger
 from ..errors import PatchError
 from .surfacefiles import MeshFile, Surface, mesh_of
 
-#: Surfaces of Radiance other than polygons.
-_OTHERS = ("sphere", "bubble", "cone", "cup", "cylinder", "tube", "ring", "mesh", "instance")
+#: Types of Radiance that are no surfaces: materials, then textures, patterns, mixtures and spectra.
+_MODIFIER = re.compile(
+    r"(plas|met|trans|BRTD|WGMD|tex|color|bright|mix|spec)(func|data|pict|text|file)|(plastic|metal|trans|ashik)2?"
+    r"|glow|light|illum|spotlight|mirror|prism[12]|dielectric|interface|glass|mist|antimatter|a?BSDF|spectrum"
+)
 
 
 def read_rad(path: Path) -> MeshFile:
     """The polygons, whose ``material`` is a group, with reflectances and emission (red, green, blue).
 
     ``plastic`` and ``metal`` reflect as diffuse surfaces of the same albedo, ``glow`` and ``light`` emit pi times their
-    radiance. Raises :class:`PatchError` for other surfaces, for polygons of other materials, and for commands.
+    radiance, without their patterns, which a warning names. Raises :class:`PatchError` for other surfaces, for polygons
+    of other materials, and for commands.
     """
     materials: dict[str, tuple[Array, Array] | str] = {"void": (np.zeros(3), np.zeros(3))}
     surfaces = []
@@ -41,14 +46,16 @@ def read_rad(path: Path) -> MeshFile:
             surface = Surface(outline=outline, name=name, where=where, groups={"material": modifier})
             surface.values = dict(zip(("reflectance", "emission"), material, strict=True))
             surfaces.append(surface)
-        elif kind in _OTHERS:
-            raise PatchError(f"{path}, {where}: {kind} '{name}' is no polygon: approximate it by polygons")
         elif kind == "source":
             logger.warning("%s, %s: the source '%s' is left out: give a sky", path, where, name)
         elif kind == "alias":
             materials[name] = materials.get(words[0], kind)
-        else:
+        elif _MODIFIER.fullmatch(kind):
             materials[name] = _material(path, where, kind, name, words)
+            if modifier != "void" and not isinstance(materials[name], str):
+                logger.warning("%s, %s: '%s' is taken without its pattern '%s'", path, where, name, modifier)
+        else:
+            raise PatchError(f"{path}, {where}: {kind} '{name}' is no polygon: approximate it by polygons")
     if not surfaces:
         raise PatchError(f"{path} has no polygons of Radiance")
     own = {name: np.array([s.values[name] for s in surfaces]) for name in ("reflectance", "emission")}
@@ -81,7 +88,7 @@ def _primitives(path: Path) -> Iterator[tuple[int, str, str, str, list[str]]]:
     """Line, modifier, kind, name and the last arguments, the numbers, of each primitive; of an alias, what it names."""
     words: list[tuple[int, str]] = []
     for number, text in enumerate(path.read_text("utf-8-sig", errors="replace").splitlines(), 1):
-        if text.startswith("!"):
+        if text.lstrip().startswith("!"):
             raise PatchError(f"{path}, line {number}: commands are not run; expand the file by Radiance's xform")
         words += [(number, word) for word in text.split("#")[0].split()]
     place, line = 0, 1

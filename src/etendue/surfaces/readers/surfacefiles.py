@@ -65,13 +65,16 @@ def mesh_of(path: Path, surfaces: list[Surface], own: Mapping[str, Array] | None
     points: list[Array] = []
     polygons: list[list[int]] = []
     rows: list[int] = []
+    for surface in surfaces:
+        for ring, what in [(surface.outline, ""), *((hole, "a hole of ") for hole in surface.holes)]:
+            if len(ring) < 3:
+                raise PatchError(
+                    f"{path}, {surface.where}: {what}'{surface.name}' has {len(ring)} corners; it needs three"
+                )
     for row, surface in enumerate(surfaces):
-        pieces = [surface.outline]
-        if surface.holes or surface.inside:
-            pieces = _cut(path, surface)
-        for piece in pieces:
-            if len(piece) < 3:
-                raise PatchError(f"{path}, {surface.where}: '{surface.name}' has {len(piece)} corners; it needs three")
+        pieces = _cut(path, surface) if surface.holes or surface.inside else [surface.outline]
+        # A surface of which nothing is left keeps its row, as a face without area.
+        for piece in pieces or [surface.outline[[0, 0, 0]]]:
             start = sum(map(len, points[-1:])) + (polygons[-1][0] if polygons else 0)
             points.append(piece)
             polygons.append(list(range(start, start + len(piece))))
@@ -106,15 +109,10 @@ def mesh_of(path: Path, surfaces: list[Surface], own: Mapping[str, Array] | None
 
 def _cut(path: Path, surface: Surface) -> list[Array]:
     """What is left of a surface without what is inside it."""
-    pieces = [surface.outline]
-    holes = [(hole, f"a hole of '{surface.name}'", surface.where) for hole in surface.holes]
-    holes += [(inner.outline, f"'{inner.name}'", inner.where) for inner in surface.inside]
-    for k, (_, what, where) in enumerate(holes):
-        try:
-            pieces = cut_out(surface.outline, [hole for hole, _, _ in holes[: k + 1]])
-        except PatchError as error:
-            raise PatchError(f"{path}, {where}: {what} in '{surface.name}' {error}") from None
-    return pieces
+    name = f"'{surface.name}'"
+    holes = [(f"{path}, {surface.where}: a hole of {name}", hole) for hole in surface.holes]
+    holes += [(f"{path}, {inner.where}: '{inner.name}' in {name}", inner.outline) for inner in surface.inside]
+    return cut_out(f"{path}, {surface.where}: {name}", surface.outline, holes)
 
 
 def _is_simple(points: Array, polygon: list[int]) -> bool:
@@ -131,6 +129,6 @@ def corners_of(value: Any, what: str) -> Array:
         corners = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         corners = np.zeros(0)
-    if corners.ndim != 2 or corners.shape[1] != 3:
+    if corners.ndim != 2 or corners.shape[1] != 3 or not np.isfinite(corners).all():
         raise PatchError(f"{what} is no list of points of three numbers")
     return corners
