@@ -467,8 +467,8 @@ def solve_heat(
         Path(conditions), names.tolist(), group, patches, None if loads is None else Path(loads)
     )
     if surroundings is not None:
-        if np.size(known.surroundings) > 1:
-            raise OptionError(f"'{loads}' has the surroundings of each case: leave out the other ones")
+        if np.ndim(known.surroundings):
+            raise OptionError(f"'{loads}' has the surroundings of each case: leave out surroundings, or its column")
         known = replace(known, surroundings=surroundings)
     known.arrays(len(patches))
     files = heat_files(save, len(cases))

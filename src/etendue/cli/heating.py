@@ -50,7 +50,10 @@ def heat(
     surroundings: Annotated[
         float | None,
         typer.Option(
-            "--surroundings", help="Temperature of the black sky around an open mesh; 0 if not given.", metavar="K", min=0
+            "--surroundings",
+            help="Temperature of the black sky around an open mesh, or 0.",
+            metavar="K",
+            min=0,
         ),
     ] = None,
     factors: Annotated[

@@ -12,13 +12,13 @@ from etendue.core import Array, short_repr
 from etendue.surfaces import STEFAN_BOLTZMANN, Patches
 
 from .errors import RadiosityError
-from .heatbands import Nodes, check_edges, emitted, in_channels, joint_balance
+from .heatbands import Nodes, check_edges, emitted, joint_balance
 from .solvers.system import Solver, Transport, solve
 
 #: Newton's steps at most, and the change of a temperature, relative, after which they end.
 _STEPS, _SETTLED = 60, 1e-11
 #: Numbers of patches, cases and bands that are solved for at once.
-_MOST = 1 << 22
+_MOST = 1 << 19
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,8 +161,9 @@ def _balance(
     e = known["emissivity"][..., None] if edges is None else known["emissivity"][:, None]
     e = np.broadcast_to(e, (*t.shape, e.shape[-1]))
     given = ~np.isnan(t)
-    if (torn := np.flatnonzero((nodes.shared[:, None] & (nodes.mean(given.astype(float)) % 1 != 0)).any(axis=1))).size:
-        raise RadiosityError(f"patch {torn[0]} shares its temperature with others, of which only some are given one")
+    filled = np.where(given, t, -1.0)
+    if (torn := np.flatnonzero((np.abs(filled - nodes.mean(filled)) > 1e-9 * np.abs(filled)).any(axis=1))).size:
+        raise RadiosityError(f"patch {torn[0]} has one temperature with others: give it to all of them, or to none")
     takes = nodes.mean(e.sum(axis=-1) + h)
     impossible = np.flatnonzero((~given & (takes == 0) & (q != 0)).any(axis=1))
     if len(impossible):
@@ -181,7 +182,7 @@ def _balance(
         arguments = (edges, nodes, e, t, q, h, ambient, light)
         temperature, sent, steps = joint_balance(patches, transport, linear, *arguments)
     # The irradiance anew, so that the residual is that of the whole balance.
-    arrived = in_channels(transport.gather(sent.reshape(len(patches), -1), light.ravel()), sent.shape)
+    arrived = transport.gather(sent.reshape(len(patches), -1), light.ravel()).reshape(sent.shape)
     off = np.abs(sent - e * emitted(np.nan_to_num(temperature), edges) - (1 - e) * arrived)
     radiosity, irradiance = sent.sum(axis=-1), arrived.sum(axis=-1)
     wanted = q + h * (ambient - np.nan_to_num(temperature))

@@ -12,15 +12,16 @@ from etendue.core import Array
 from etendue.surfaces import STEFAN_BOLTZMANN, Patches, band_shares
 
 from .errors import RadiosityError
-from .solvers.absorption import absorbed
 from .solvers.system import Transport
 
 #: Newton's steps at most; the change of a temperature, relative, after which they end; and the residual of GMRES.
 _STEPS, _SETTLED, _RESIDUAL = 100, 1e-9, 1e-12
 #: Relative step of the numerical derivative of a band's emission.
 _STEP = 1e-4
-#: A temperature in kelvin from which a patch without any other hint starts, and one that is none.
+#: A temperature in kelvin from which a patch without any other hint starts, and one that is as good as 0.
 _WARM, _COLD = 300.0, 1e-3
+#: Largest share of radiation that leaves a closed part of a scene because of rounding.
+_LEAK = 1e-5
 
 
 def check_edges(edges: ArrayLike) -> Array:
@@ -43,11 +44,6 @@ def emitted(temperatures: Array, edges: ArrayLike | None) -> Array:
     return np.asarray(band_shares(known, edges)[place.reshape(temperatures.shape)] * whole, np.float64)
 
 
-def in_channels(values: Array, shape: tuple[int, ...]) -> Array:
-    """Channels (n, c b) as (n, c, b)."""
-    return values.reshape(shape)
-
-
 class Nodes:
     """Patches that have one temperature together: those of equal numbers (n,) of at least 0. ``None``: no two have."""
 
@@ -66,8 +62,8 @@ class Nodes:
             )
             self._node = inverse.reshape(-1)
             self.shared = members[self._node] > 1
-        whole = np.bincount(self._node, areas)
-        self._weights = areas / np.where(whole > 0, whole, 1.0)[self._node]
+        whole = np.bincount(self._node, areas)[self._node]
+        self._weights = np.divide(areas, whole, out=1 / np.bincount(self._node)[self._node], where=whole > 0)
 
     def mean(self, values: Array) -> Array:
         """(n, c) means over the area of each node; of patches of their own the values as they are."""
@@ -104,35 +100,35 @@ def joint_balance(
     """
     shape, given = e.shape, ~np.isnan(t)
     if given.all():
-        emission = e * emitted(t, edges)
-        channels = (x.reshape(len(patches), -1) for x in (1 - e, emission))
-        return t, linear(*channels, sky.ravel())[0].reshape(shape), 1
-    _check_ends(patches, transport, nodes, e, given, q, h)
-    lost = ~given & (nodes.mean(e.sum(axis=-1) + h) == 0)  # without any temperature
-    found = ~given & ~lost
+        reflectance, emission = (x.reshape(len(patches), -1) for x in (1 - e, e * emitted(t, edges)))
+        return t, linear(reflectance, emission, sky.ravel())[0].reshape(shape), 1
+    takes = nodes.mean(e.sum(axis=-1) + h)
+    found = ~given & (takes > 0) & (nodes.mean(np.broadcast_to(patches.areas[:, None], t.shape)) > 0)
+    lost = ~given & ~found  # without any temperature
+    _check_ends(patches, transport, nodes, e, given, found, h)
     hottest = max(_WARM, np.nan_to_num(t).max(), ambient.max(), (np.abs(q).max() / STEFAN_BOLTZMANN) ** 0.25)
     temperature = np.where(given, t, hottest)
     arrived = np.zeros(shape)
     for step in range(1, _STEPS + 1):
-        own = e * emitted(temperature, edges)
+        own = np.where(lost[..., None], 0.0, e * emitted(temperature, edges))
         slope = np.where(found[..., None], e * _slopes(temperature, edges), 0.0)
-        inertia = np.where(found, nodes.mean(slope.sum(axis=-1) + h), 1.0)
+        inertia = np.where(found, np.maximum(nodes.mean(slope.sum(axis=-1) + h), 1e-300), 1.0)
         missing = np.where(found, nodes.mean(q + h * (ambient - temperature) - own.sum(axis=-1)), 0.0)
-        own = np.where(lost[..., None], 0.0, own)
         gain = slope / inertia[..., None]
         arrived = _gmres(transport, nodes, own + gain * missing[..., None], gain, e, sky, arrived)
-        change = np.where(found, (missing + nodes.mean((e * arrived).sum(axis=-1))) / inertia, 0.0)
-        after = np.clip(temperature + change, temperature / 2, 2 * temperature)
+        missing = np.where(found, missing + nodes.mean((e * arrived).sum(axis=-1)), 0.0)
+        after = np.clip(temperature + missing / inertia, temperature / 2, 2 * temperature)
+        after = np.where(found, np.maximum(after, _COLD), temperature)
         moved = np.abs(after - temperature).max()
         temperature = after
-        if (cold := np.flatnonzero((found & (temperature < _COLD)).any(axis=1))).size:
-            raise RadiosityError(
-                f"patch {cold[0]} would have to be colder than 0 K to take up the heat flux that it is given"
-            )
         if moved <= _SETTLED * temperature[found].max(initial=1.0):
-            own = e * emitted(temperature, edges)
-            radiosity = np.where(lost[..., None], 0.0, own) + (1 - e) * arrived
-            return np.where(lost, np.nan, temperature), radiosity, step
+            cold = found & (temperature <= _COLD)
+            if (frozen := np.flatnonzero((cold & (missing < -1e-9 * np.abs(q).max())).any(axis=1))).size:
+                raise RadiosityError(
+                    f"patch {frozen[0]} would have to be colder than 0 K to take up the heat flux that it is given"
+                )
+            temperature = np.where(lost, np.nan, np.where(cold, 0.0, temperature))
+            return temperature, e * emitted(np.nan_to_num(temperature), edges) + (1 - e) * arrived, step
     raise RadiosityError(
         f"temperatures still change by {moved:.2g} K after {_STEPS} steps: look for conductances and emissivities that "
         "are far too small or too large"
@@ -155,7 +151,7 @@ def _gmres(
     dark = np.zeros(sky.size)
 
     def gather(values: Array, light: Array) -> Array:
-        return in_channels(transport.gather(values.reshape(shape[0], -1), light), shape)
+        return transport.gather(values.reshape(shape[0], -1), light).reshape(shape)
 
     def system(flat: Array) -> Array:
         g = flat.reshape(shape)
@@ -171,9 +167,38 @@ def _gmres(
 
 
 def _check_ends(
-    patches: Patches, transport: Transport, nodes: Nodes, e: Array, given: NDArray[np.bool_], q: Array, h: Array
+    patches: Patches,
+    transport: Transport,
+    nodes: Nodes,
+    e: Array,
+    given: NDArray[np.bool_],
+    found: NDArray[np.bool_],
+    h: Array,
 ) -> None:
-    """Raise :class:`RadiosityError` if heat can leave by no patch; by one of a node, it reaches the others."""
-    leaves = given | (h > 0) | nodes.shared[:, None]
-    reflectance = np.where(given, 1 - e.max(axis=-1), np.where(leaves, 0.0, 1.0))
-    absorbed(patches.with_properties(reflectance, np.where(leaves, 1.0, np.abs(q))), transport)
+    """Raise :class:`RadiosityError` if the heat of a patch whose temperature is to be ``found`` cannot get to where it
+    ends: a patch with a temperature or conductance, or the outside. It goes on in the band of a reflection, in every
+    band from a patch that absorbs it, and from all patches of its node."""
+    takes, out, areas = e > 0, transport.outside + transport.dark, patches.areas[:, None, None]
+
+    def spread(reached: NDArray[np.bool_], is_open: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, c, b) all radiation, by the patch at which it arrives, that gets to what is ``reached`` or open."""
+        while True:
+            values = reached.astype(np.float64).reshape(len(patches), -1)
+            sent = (transport.gather(values, np.zeros(1)).reshape(e.shape) > 0) | is_open
+            again = found & (nodes.mean(np.asarray((takes & sent).any(axis=-1), np.float64)) > 0)
+            wider = reached | ((e < 1) & sent) | (takes & again[..., None])
+            if (wider == reached).all():
+                return reached
+            reached = wider
+
+    ends = spread(takes & (given | (nodes.mean(h) > 0))[..., None], np.zeros(e.shape, dtype=bool))
+    # In single precision, a ray in a million passes between two faces.
+    leaks = (areas * ~ends * out[:, None, None]).sum(axis=0) <= _LEAK * (areas * ~ends).sum(axis=0)
+    ends = spread(ends, ~leaks & (out > 0)[:, None, None])
+    sees = transport.gather(np.ones(len(patches)), np.zeros(1)) + out > 0
+    stuck = np.flatnonzero((found & ~(ends & takes).any(axis=-1) & sees[:, None]).any(axis=1))
+    if len(stuck):
+        raise RadiosityError(
+            f"heat of patch {stuck[0]} can leave by no band and no patch: give one that it sees a temperature, or a "
+            "conductance, and an emissivity above 0 in a band of its own"
+        )

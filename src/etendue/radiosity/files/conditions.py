@@ -76,17 +76,21 @@ def read_conditions(
             values[column][g] = value
     for (g, column), series in changes.items():
         values[column][g] = series
-    sizes = np.bincount(group, patches.areas, len(names))[:, None]
-    values["flux"] = np.where(np.isnan(values["power"]), values["flux"], values["power"] / np.maximum(sizes, 1e-300))
-    _check(path, names, values)
+    sizes = np.bincount(group, patches.areas, len(names))
+    per_area = values["power"] / np.where(sizes > 0, sizes, 1.0)[:, None]
+    values["flux"] = np.where(np.isnan(per_area), values["flux"], per_area)
+    is_joint = np.array([joint.get(name, joint.get(_OTHERS, False)) for name in names])
+    _check(path, names, values, bands)
+    for g in np.flatnonzero((sizes == 0) & (is_joint | ~np.isnan(per_area).all(axis=1))).tolist():
+        what = _JOINT if is_joint[g] else "power"
+        raise RadiosityError(f"{path}: group '{names[g]}' has no area, and can have no {what}: give it another row")
     for column in ("flux", "conductance", "ambient"):
         values[column] = np.nan_to_num(values[column])
     of_patches: dict[str, Any] = {column: values[column][group] for column in _OF_PATCHES}
     own = 1 - patches.reflectance if patches.channels == 1 else np.ones((len(patches), 1))
     emissivity = values["emissivity"] if not bands else np.stack([values[band][:, 0] for band in bands], axis=1)
     of_patches["emissivity"] = np.where(np.isnan(emissivity[group]), own, emissivity[group])
-    if any(joint.values()):
-        is_joint = np.array([joint.get(name, joint.get(_OTHERS, False)) for name in names])
+    if is_joint.any():
         of_patches["nodes"] = np.where(is_joint[group], group, -1)
     return Conditions(**of_patches, edges=edges, surroundings=0.0 if sky is None else sky), cases
 
@@ -107,13 +111,13 @@ def _edges(path: Path, bands: list[str], is_grey: bool) -> Array | None:
     limits_of = dict(zip(bands, limits, strict=True))
     bands.sort(key=limits_of.__getitem__)
     limits.sort()
-    edges = [low for low, _ in limits] + [limits[-1][1]]
-    if any(low != high for (_, high), low in zip(limits, edges[1:], strict=True)) or edges[0] != 0 or edges[-1] < np.inf:
+    edges = [0.0, *(high for _, high in limits)]
+    if [low for low, _ in limits] != edges[:-1] or any(low >= high for low, high in limits) or edges[-1] < np.inf:
         raise RadiosityError(f"{path}: bands join each other from 0 to inf, as emissivity:0-4 and emissivity:4-inf")
     return np.array(edges) * 1e-6
 
 
-def _check(path: Path, names: Sequence[str], values: dict[str, Array]) -> None:
+def _check(path: Path, names: Sequence[str], values: dict[str, Array], bands: list[str]) -> None:
     """Raise :class:`RadiosityError` for conditions that lack something, or exclude each other."""
     has = {column: np.asarray(np.isfinite(array).any(axis=1)) for column, array in values.items()}
     for g, name in enumerate(names):
@@ -128,6 +132,9 @@ def _check(path: Path, names: Sequence[str], values: dict[str, Array]) -> None:
         for column in kinds:
             if np.isnan(values[column][g]).any():
                 raise RadiosityError(f"{where} has no {column} in case {int(np.isnan(values[column][g]).argmax()) + 1}")
+        lacking = [band for band in bands if not has[band][g]]
+        if lacking and len(lacking) < len(bands):
+            raise RadiosityError(f"{where} has no {lacking[0]}, but an emissivity of another band: give it all")
 
 
 def _loads(path: Path, names: Sequence[str]) -> tuple[list[str], dict[tuple[int, str], Array], Array | None]:
