@@ -12,7 +12,7 @@ from etendue.core import Array, short_repr
 from etendue.surfaces import STEFAN_BOLTZMANN, Patches
 
 from .errors import RadiosityError
-from .heatbands import Nodes, check_edges, emitted, joint_balance
+from .heatbands import Nodes, check_edges, check_ends, emitted, joint_balance
 from .solvers.system import Solver, Transport, solve
 
 #: Newton's steps at most, and the change of a temperature, relative, after which they end.
@@ -168,6 +168,9 @@ def _balance(
     impossible = np.flatnonzero((~given & (takes == 0) & (q != 0)).any(axis=1))
     if len(impossible):
         raise RadiosityError(f"patch {impossible[0]} has emissivity 0, and can neither send nor receive a heat flux")
+    found = ~given & (takes > 0) & (nodes.mean(np.broadcast_to(patches.areas[:, None], t.shape)) > 0)
+    if found.any():
+        check_ends(patches, transport, nodes, e, given, found, h)
     if solver is None:
         solver = "conjugate-gradient" if transport.exchange_weights is not None else "gauss-seidel"
 
@@ -179,7 +182,7 @@ def _balance(
         temperature, sent, steps = _grey(patches, linear, e[..., 0], t, q, h, ambient, light[:, 0])
         sent = sent[..., None]
     else:
-        arguments = (edges, nodes, e, t, q, h, ambient, light)
+        arguments = (edges, nodes, e, t, q, h, ambient, light, found)
         temperature, sent, steps = joint_balance(patches, transport, linear, *arguments)
     # The irradiance anew, so that the residual is that of the whole balance.
     arrived = transport.gather(sent.reshape(len(patches), -1), light.ravel()).reshape(sent.shape)
@@ -271,6 +274,8 @@ def _linear(
     tolerance: float,
 ) -> tuple[Array, Array]:
     """Radiosity and irradiance for an emission that may be negative, as the difference of two solutions."""
+    if not emission.any() and not sky.any():
+        return np.zeros_like(emission), np.zeros_like(emission)
     cases = emission.shape[1]
     sky = np.broadcast_to(np.atleast_1d(sky), (cases,))
     parts = [(np.maximum(emission, 0.0), sky)]

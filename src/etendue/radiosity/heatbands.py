@@ -85,11 +85,13 @@ def joint_balance(
     h: Array,
     ambient: Array,
     sky: Array,
+    found: NDArray[np.bool_],
 ) -> tuple[Array, Array, int]:
     """Temperatures (n, c) and radiosities (n, c, b) of patches with emissivities ``e`` (n, c, b), and Newton's steps.
 
-    linear: radiosity and irradiance in channels, of reflectance, emission and sky. sky: (c, b). The other arguments are
-    (n, c), see :class:`Conditions`.
+    linear: radiosity and irradiance in channels, of reflectance, emission and sky. sky: (c, b). found: which
+    temperatures are to be found; those that are neither given nor found are NaN. The other arguments are (n, c), see
+    :class:`Conditions`.
 
     The emission of a band, p(T), is convex in T, so that Newton's steps for the balances of all patches end above the
     solution and descend to it, however far they begin. In each step, T = T' + d is eliminated:
@@ -102,10 +104,7 @@ def joint_balance(
     if given.all():
         reflectance, emission = (x.reshape(len(patches), -1) for x in (1 - e, e * emitted(t, edges)))
         return t, linear(reflectance, emission, sky.ravel())[0].reshape(shape), 1
-    takes = nodes.mean(e.sum(axis=-1) + h)
-    found = ~given & (takes > 0) & (nodes.mean(np.broadcast_to(patches.areas[:, None], t.shape)) > 0)
-    lost = ~given & ~found  # without any temperature
-    _check_ends(patches, transport, nodes, e, given, found, h)
+    lost = ~given & ~found
     hottest = max(_WARM, np.nan_to_num(t).max(), ambient.max(), (np.abs(q).max() / STEFAN_BOLTZMANN) ** 0.25)
     temperature = np.where(given, t, hottest)
     arrived = np.zeros(shape)
@@ -166,7 +165,7 @@ def _gmres(
     return np.asarray(found.reshape(shape), np.float64)
 
 
-def _check_ends(
+def check_ends(
     patches: Patches,
     transport: Transport,
     nodes: Nodes,
@@ -178,6 +177,9 @@ def _check_ends(
     """Raise :class:`RadiosityError` if the heat of a patch whose temperature is to be ``found`` cannot get to where it
     ends: a patch with a temperature or conductance, or the outside. It goes on in the band of a reflection, in every
     band from a patch that absorbs it, and from all patches of its node."""
+    # Most cases are alike in this.
+    _, kept = np.unique(np.concatenate([given, found, h > 0, *np.moveaxis(e, -1, 0)]), axis=1, return_index=True)
+    e, given, found, h = e[:, kept], given[:, kept], found[:, kept], nodes.mean(h)[:, kept]
     takes, out, areas = e > 0, transport.outside + transport.dark, patches.areas[:, None, None]
 
     def spread(reached: NDArray[np.bool_], is_open: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -191,14 +193,14 @@ def _check_ends(
                 return reached
             reached = wider
 
-    ends = spread(takes & (given | (nodes.mean(h) > 0))[..., None], np.zeros(e.shape, dtype=bool))
+    ends = spread(takes & (given | (h > 0))[..., None], np.zeros(e.shape, dtype=bool))
     # In single precision, a ray in a million passes between two faces.
     leaks = (areas * ~ends * out[:, None, None]).sum(axis=0) <= _LEAK * (areas * ~ends).sum(axis=0)
     ends = spread(ends, ~leaks & (out > 0)[:, None, None])
     sees = transport.gather(np.ones(len(patches)), np.zeros(1)) + out > 0
-    stuck = np.flatnonzero((found & ~(ends & takes).any(axis=-1) & sees[:, None]).any(axis=1))
+    stuck = np.flatnonzero((found & (h == 0) & ~(ends & takes).any(axis=-1) & sees[:, None]).any(axis=1))
     if len(stuck):
         raise RadiosityError(
-            f"heat of patch {stuck[0]} can leave by no band and no patch: give one that it sees a temperature, or a "
-            "conductance, and an emissivity above 0 in a band of its own"
+            f"the heat of patch {stuck[0]} cannot leave: give a patch that it reaches a temperature or a conductance, "
+            "and an emissivity above 0, if by bands in a band that arrives there"
         )

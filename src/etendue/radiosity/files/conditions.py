@@ -113,7 +113,8 @@ def _edges(path: Path, bands: list[str], is_grey: bool) -> Array | None:
     limits.sort()
     edges = [0.0, *(high for _, high in limits)]
     if [low for low, _ in limits] != edges[:-1] or any(low >= high for low, high in limits) or edges[-1] < np.inf:
-        raise RadiosityError(f"{path}: bands join each other from 0 to inf, as emissivity:0-4 and emissivity:4-inf")
+        named = ", ".join(bands)
+        raise RadiosityError(f"{path}: {named} do not go on from 0 to inf, as emissivity:0-4 and emissivity:4-inf")
     return np.array(edges) * 1e-6
 
 
@@ -149,7 +150,7 @@ def _loads(path: Path, names: Sequence[str]) -> tuple[list[str], dict[tuple[int,
         if row[0] in lines_of:
             raise RadiosityError(f"{path}, line {line}: case '{row[0]}' is in line {lines_of[row[0]]}, too")
         lines_of[row[0]] = line
-    changes, sky = {}, None
+    series: dict[tuple[str, str], Array] = {}
     for k, head in enumerate(heads[1:], 1):
         name, _, column = head.rpartition(":")
         column = column.strip().lower()
@@ -162,13 +163,11 @@ def _loads(path: Path, names: Sequence[str]) -> tuple[list[str], dict[tuple[int,
             if not row[k]:
                 raise RadiosityError(f"{path}, line {line}: column '{head}' has no number")
             numbers.append(_number(path, line, column, row[k]))
-        if not name:
-            sky = np.array(numbers)
-            continue
-        if (names.index(name), column) in changes:
+        if (name, column) in series:
             raise RadiosityError(f"{path} has two columns '{head}'")
-        changes[names.index(name), column] = np.array(numbers)
-    return list(lines_of), changes, sky
+        series[name, column] = np.array(numbers)
+    sky = series.pop(("", _SKY), None)
+    return list(lines_of), {(names.index(name), column): numbers for (name, column), numbers in series.items()}, sky
 
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
