@@ -79,8 +79,9 @@ def heat(
 ) -> int:
     """Solve for temperatures and heat of the groups of a mesh that exchange heat by radiation.
 
-    Patches are grey. Those of a group have its temperature, or the heat flux that it sends into the enclosure (0 if it
-    is adiabatic), or exchange heat with a body of known temperature; their own temperatures are then found.
+    Patches of a group have its temperature, or the heat flux that it sends into the enclosure (0 if it is adiabatic),
+    or exchange heat with a body of known temperature; their own temperatures are then found. They are grey, or have an
+    emissivity for each band of wavelengths.
     """
     import time as clock
 

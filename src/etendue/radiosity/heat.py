@@ -177,7 +177,7 @@ def _balance(
     def linear(reflectance: Array, emission: Array, sky: Array) -> tuple[Array, Array]:
         return _linear(patches, transport, reflectance, emission, sky, solver, tolerance)
 
-    light = emitted(sky, edges)
+    light = emitted(sky, edges)[0]
     if edges is None and not nodes.shared.any():
         temperature, sent, steps = _grey(patches, linear, e[..., 0], t, q, h, ambient, light[:, 0])
         sent = sent[..., None]
@@ -186,7 +186,7 @@ def _balance(
         temperature, sent, steps = joint_balance(patches, transport, linear, *arguments)
     # The irradiance anew, so that the residual is that of the whole balance.
     arrived = transport.gather(sent.reshape(len(patches), -1), light.ravel()).reshape(sent.shape)
-    off = np.abs(sent - e * emitted(np.nan_to_num(temperature), edges) - (1 - e) * arrived)
+    off = np.abs(sent - e * emitted(np.nan_to_num(temperature), edges)[0] - (1 - e) * arrived)
     radiosity, irradiance = sent.sum(axis=-1), arrived.sum(axis=-1)
     wanted = q + h * (ambient - np.nan_to_num(temperature))
     missed = np.where(given, 0.0, np.abs(nodes.mean(radiosity - irradiance - wanted)))

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array
-from etendue.surfaces import STEFAN_BOLTZMANN, Patches, band_shares
+from etendue.surfaces import STEFAN_BOLTZMANN, Patches, band_emission
 
 from .errors import RadiosityError
 from .solvers.system import Transport
 
-#: Newton's steps at most; the change of a temperature, relative, after which they end; and the residual of GMRES.
+#: Newton's steps at most; the change of a temperature, relative, after which they end; and the last residual of GMRES.
 _STEPS, _SETTLED, _RESIDUAL = 100, 1e-9, 1e-12
-#: Relative step of the numerical derivative of a band's emission.
-_STEP = 1e-4
 #: A temperature in kelvin from which a patch without any other hint starts, and one that is as good as 0.
 _WARM, _COLD = 300.0, 1e-3
 #: Largest share of radiation that leaves a closed part of a scene because of rounding.
@@ -34,14 +32,16 @@ def check_edges(edges: ArrayLike) -> Array:
     return limits
 
 
-def emitted(temperatures: Array, edges: ArrayLike | None) -> Array:
-    """(..., b) power per area of black bodies of these temperatures in the bands; one band without edges."""
-    whole = STEFAN_BOLTZMANN * temperatures[..., None] ** 4
+def emitted(temperatures: Array, edges: ArrayLike | None) -> tuple[Array, Array]:
+    """(..., b) power per area of black bodies of these temperatures in the bands, and its derivative; one band without
+    edges."""
     if edges is None:
-        return np.asarray(whole, np.float64)
+        cube = STEFAN_BOLTZMANN * temperatures[..., None] ** 3
+        return cube * temperatures[..., None], 4 * cube
     # Many patches have the same temperature.
     known, place = np.unique(temperatures, return_inverse=True)
-    return np.asarray(band_shares(known, edges)[place.reshape(temperatures.shape)] * whole, np.float64)
+    whole, slope = (x[place.reshape(temperatures.shape)] for x in band_emission(known, edges))
+    return whole, slope
 
 
 class Nodes:
@@ -102,46 +102,48 @@ def joint_balance(
     """
     shape, given = e.shape, ~np.isnan(t)
     if given.all():
-        reflectance, emission = (x.reshape(len(patches), -1) for x in (1 - e, e * emitted(t, edges)))
+        reflectance, emission = (x.reshape(len(patches), -1) for x in (1 - e, e * emitted(t, edges)[0]))
         return t, linear(reflectance, emission, sky.ravel())[0].reshape(shape), 1
     lost = ~given & ~found
     hottest = max(_WARM, np.nan_to_num(t).max(), ambient.max(), (np.abs(q).max() / STEFAN_BOLTZMANN) ** 0.25)
     temperature = np.where(given, t, hottest)
-    arrived = np.zeros(shape)
+    arrived, moved = np.zeros(shape), 1.0
     for step in range(1, _STEPS + 1):
-        own = np.where(lost[..., None], 0.0, e * emitted(temperature, edges))
-        slope = np.where(found[..., None], e * _slopes(temperature, edges), 0.0)
+        emission, slope = (e * x for x in emitted(temperature, edges))
+        own, slope = np.where(lost[..., None], 0.0, emission), np.where(found[..., None], slope, 0.0)
         inertia = np.where(found, np.maximum(nodes.mean(slope.sum(axis=-1) + h), 1e-300), 1.0)
         missing = np.where(found, nodes.mean(q + h * (ambient - temperature) - own.sum(axis=-1)), 0.0)
         gain = slope / inertia[..., None]
-        arrived = _gmres(transport, nodes, own + gain * missing[..., None], gain, e, sky, arrived)
+        residual = np.clip(1e-4 * moved, _RESIDUAL, 1e-4)
+        arrived = _gmres(transport, nodes, own + gain * missing[..., None], gain, e, sky, arrived, residual)
         missing = np.where(found, missing + nodes.mean((e * arrived).sum(axis=-1)), 0.0)
         after = np.clip(temperature + missing / inertia, temperature / 2, 2 * temperature)
         after = np.where(found, np.maximum(after, _COLD), temperature)
-        moved = np.abs(after - temperature).max()
+        moved = float(np.abs(after - temperature).max() / temperature[found].max(initial=1.0))
         temperature = after
-        if moved <= _SETTLED * temperature[found].max(initial=1.0):
+        if moved <= _SETTLED:
             cold = found & (temperature <= _COLD)
             if (frozen := np.flatnonzero((cold & (missing < -1e-9 * np.abs(q).max())).any(axis=1))).size:
                 raise RadiosityError(
                     f"patch {frozen[0]} would have to be colder than 0 K to take up the heat flux that it is given"
                 )
             temperature = np.where(lost, np.nan, np.where(cold, 0.0, temperature))
-            return temperature, e * emitted(np.nan_to_num(temperature), edges) + (1 - e) * arrived, step
+            return temperature, e * emitted(np.nan_to_num(temperature), edges)[0] + (1 - e) * arrived, step
     raise RadiosityError(
-        f"temperatures still change by {moved:.2g} K after {_STEPS} steps: look for conductances and emissivities that "
-        "are far too small or too large"
+        f"temperatures still change by {moved:.2g} of their size after {_STEPS} steps: look for conductances and "
+        "emissivities that are far too small or too large"
     )
 
 
-def _slopes(temperature: Array, edges: Array | None) -> Array:
-    """Derivatives of the emission of black bodies."""
-    warm, cold = (emitted(temperature * (1 + sign * _STEP), edges) for sign in (1, -1))
-    return np.asarray((warm - cold) / np.maximum(2 * _STEP * temperature, 1e-300)[..., None], np.float64)
-
-
 def _gmres(
-    transport: Transport, nodes: Nodes, emission: Array, gain: Array, e: Array, sky: Array, start: Array
+    transport: Transport,
+    nodes: Nodes,
+    emission: Array,
+    gain: Array,
+    e: Array,
+    sky: Array,
+    start: Array,
+    residual: float,
 ) -> Array:
     """The irradiance G of the bands with radiosities emission + (1 - e) G + gain mean(sum(e G)) [Saad 1986]."""
     from scipy.sparse.linalg import LinearOperator, gmres
@@ -159,8 +161,8 @@ def _gmres(
 
     right = gather(emission, sky.ravel()).ravel()
     operator = LinearOperator((right.size, right.size), matvec=system, dtype=np.float64)
-    found, failed = gmres(operator, right, x0=start.ravel(), rtol=_RESIDUAL, restart=60, maxiter=20)
-    if failed and np.abs(system(found) - right).max() > 1e-6 * np.abs(right).max():
+    found, failed = gmres(operator, right, x0=start.ravel(), rtol=residual, restart=60, maxiter=20)
+    if failed and np.abs(system(found) - right).max() > max(1e-6, 10 * residual) * np.abs(right).max():
         raise RadiosityError("the exchange in bands does not converge: almost nothing absorbs, or heat cannot leave")
     return np.asarray(found.reshape(shape), np.float64)
 
