@@ -204,6 +204,20 @@ def test_bad_tables_are_one_line(capsys, conditions, loads, words):
     assert not Path("heat.csv").exists()
 
 
+@pytest.mark.parametrize(("heads", "cells"), [("flux,isothermal", "0,yes"), ("power,isothermal", "5,")])
+def test_a_group_without_area(capsys, heads, cells):
+    """It can have a flux, and then has no temperature."""
+    Path("line.obj").write_text(Path("room.obj").read_text() + "g line\nf 1 2 2\n")
+    Path("c.csv").write_text(f"group,temperature,{heads}\nline,,{cells}\n*,300,,\n")
+    assert run("line.obj -c c.csv --bundles 16") not in (0, 70)
+    what = "isothermal" if "yes" in cells else "power"
+    assert f"group 'line' has no area, but {what} needs one" in capsys.readouterr().err
+    Path("c.csv").write_text("group,temperature,flux,emissivity:0-4,emissivity:4-inf\nline,,0,1,1\n*,300,,0.5,1\n")
+    assert run("line.obj -c c.csv --bundles 16") == 0
+    found = {row["group"]: row["temperature"] for row in rows("heat.csv")}
+    assert found == {"floor": "300", "roof": "300", "walls": "300", "line": ""}
+
+
 def test_files_that_cannot_be(capsys):
     assert run("room.obj -c c.csv -o heat.txt") == 2
     assert "written as .csv, .npz, .vtu" in capsys.readouterr().err

@@ -83,7 +83,7 @@ def read_conditions(
     _check(path, names, values, bands)
     for g in np.flatnonzero((sizes == 0) & (is_joint | ~np.isnan(per_area).all(axis=1))).tolist():
         what = _JOINT if is_joint[g] else "power"
-        raise RadiosityError(f"{path}: group '{names[g]}' has no area, and can have no {what}: give it another row")
+        raise RadiosityError(f"{path}: group '{names[g]}' has no area, but {what} needs one: give it a flux alone")
     for column in ("flux", "conductance", "ambient"):
         values[column] = np.nan_to_num(values[column])
     of_patches: dict[str, Any] = {column: values[column][group] for column in _OF_PATCHES}
