@@ -465,7 +465,7 @@ def solve_heat(
     conditions: PathLike,
     loads: PathLike | None = None,
     *,
-    surroundings: float = 0.0,
+    surroundings: float | None = None,
     factors: PathLike | None = None,
     solver: str | None = None,
     seconds: float | None = None,
@@ -483,7 +483,7 @@ def solve_heat(
     conditions: a table with a row for each group: its temperature, or its heat flux, power or exchange with a body of
         known temperature, and its emissivity. loads: a table with a row for each case, such as an hour. See
         :func:`etendue.radiosity.read_conditions`.
-    surroundings: temperature in kelvin of the black sky around an open mesh.
+    surroundings: temperature in kelvin of the black sky around an open mesh, 0 if not given; loads may have it, too.
     factors: a file of the form factors of all patches; without it they are computed, by ``bundles``, ``seconds`` or
         ``error`` as by :func:`compute_form_factors`, and repaired: heat is neither lost nor gained.
     save: ``.csv``, ``.npz``, or ``.vtu`` of one case.
@@ -491,7 +491,7 @@ def solve_heat(
     Raises :class:`etendue.radiosity.RadiosityError` for conditions that cannot be, see
     :func:`etendue.radiosity.heat_balance`; the other errors are those of :func:`compute_form_factors`.
     """
-    import numpy as np
+    from dataclasses import replace
 
     from etendue.products import HeatResult, heat_files
     from etendue.radiosity import (
@@ -509,6 +509,10 @@ def solve_heat(
     known, cases = read_conditions(
         Path(conditions), names.tolist(), group, patches, None if loads is None else Path(loads)
     )
+    if surroundings is not None:
+        if np.ndim(known.surroundings):
+            raise OptionError(f"'{loads}' has the surroundings of each case: leave out surroundings, or its column")
+        known = replace(known, surroundings=surroundings)
     known.arrays(len(patches))
     files = heat_files(save, len(cases))
     if factors is None:
@@ -516,7 +520,7 @@ def solve_heat(
         made = compute_form_factors(patches, row_sums=True, reciprocal=True, **asked, **settings).factors
     else:
         made = factors_of_patches(factors, patches)
-    balance = heat_balance(patches, made, known, surroundings=np.float64(surroundings), solver=solver)  # type: ignore[arg-type]
+    balance = heat_balance(patches, made, known, solver=solver)  # type: ignore[arg-type]
     result = HeatResult(balance, made, names.tolist(), group, cases)
     for path in files:
         result.save(path)

@@ -11,7 +11,7 @@ import pytest
 
 import etendue
 from etendue.cli.main import main
-from etendue.radiosity import STEFAN_BOLTZMANN as SIGMA, box, read_form_factors
+from etendue.radiosity import STEFAN_BOLTZMANN as SIGMA, band_shares, box, read_form_factors
 
 CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 #: A room, whose fronts are inside.
@@ -24,6 +24,14 @@ def run(command: str) -> int:
 
 def rows(path):
     return list(csv.DictReader(Path(path).open()))
+
+
+def write_body():
+    """A cube in the open, of one group."""
+    vertices, faces = box((0, 0, 0), (1, 1, 1), 1)
+    corners = [f"v {x} {y} {z}" for x, y, z in vertices]
+    sides = ["f " + " ".join(str(k + 1) for k in face) for face in faces]
+    Path("body.obj").write_text("\n".join([*corners, "g body", *sides, ""]))
 
 
 @pytest.fixture(autouse=True)
@@ -83,17 +91,45 @@ def test_loads_and_given_factors():
 
 def test_power_and_surroundings_of_a_body():
     """A cube in the open: sigma e (T^4 - T_s^4) per area."""
-    vertices, faces = box((0, 0, 0), (1, 1, 1), 1)
-    text = [f"v {x} {y} {z}" for x, y, z in vertices] + [
-        "g body",
-        *("f " + " ".join(str(k + 1) for k in f) for f in faces),
-    ]
-    Path("body.obj").write_text("\n".join([*text, ""]))
+    write_body()
     Path("c.csv").write_text("group,power,emissivity\nbody,600,0.8\n")
     assert run("body.obj -c c.csv --surroundings 250 --bundles 64") == 0
     found = rows("heat.csv")[0]
     assert float(found["heat"]) == pytest.approx(600, rel=1e-8) and float(found["flux"]) == pytest.approx(100, rel=1e-8)
     assert float(found["temperature"]) == pytest.approx((250**4 + 100 / 0.8 / SIGMA) ** 0.25, rel=1e-8)
+
+
+def test_a_conductor_in_bands():
+    """The same cube, if it is a conductor with emissivities in two bands, in hours with a sky of their own:
+    sum_b e_b (p_b(T) - p_b(T_s)) per area; and its power by its table."""
+    write_body()
+    Path("c.csv").write_text("group,power,isothermal,emissivity:4-inf,emissivity:0-4\nbody,0,yes,0.1,0.9\n")
+    Path("hours.csv").write_text("hour,body:power,surroundings\n1,6000,0\n2,600,300\n3,0,300\n")
+    assert run("body.obj -c c.csv --loads hours.csv --bundles 64 --max-area 0.3") == 0
+
+    def per_area(t):
+        return SIGMA * t**4 * band_shares([t], [0, 4e-6, np.inf])[0] @ [0.9, 0.1]
+
+    for row, power, sky in zip(rows("heat.csv"), (6000, 600, 0), (0, 300, 300), strict=True):
+        t = float(row["body:temperature"])
+        assert 6 * (per_area(t) - per_area(sky)) == pytest.approx(power, rel=1e-6, abs=1e-5)
+        assert float(row["body:heat"]) == pytest.approx(power, abs=1e-6)
+
+
+def test_walls_of_one_temperature():
+    """Of a black room whose walls are an isothermal conductor: F_fr + (1 - F_fr) / 2 of sigma (T_f^4 - T_r^4)."""
+    Path("c.csv").write_text(
+        "group,temperature,flux,isothermal,emissivity\nfloor,350,,,1\nroof,290,,,1\nwalls,,0,yes,1\n"
+    )
+    assert run("room.obj -c c.csv --bundles 1024 --max-area 0.1 --seed 1") == 0
+    found = {row["group"]: row for row in rows("heat.csv")}
+    exact = ((350**4 + 290**4) / 2) ** 0.25
+    walls = [float(found["walls"][k]) for k in ("temperature", "lowest", "highest")]
+    np.testing.assert_allclose(walls, exact, rtol=1e-3)
+    assert walls[0] == walls[1] == walls[2]
+    direct = 0.199824895698387
+    heat = SIGMA * (350**4 - 290**4) * (1 + direct) / 2
+    assert float(found["floor"]["heat"]) == pytest.approx(heat, rel=2e-3)
 
 
 def test_the_emissivity_of_the_mesh():
@@ -135,7 +171,23 @@ def test_turned_faces_of_form_factors():
         ("name,temperature\n*,300\n", "", "the first column is 'group'"),
         ("group,temperature,conductance\nfloor,300,\n*,,5\n", "", "belong together"),
         ("group,temperature\n*,300,4\n", "", "line 2 has 3 cells, not 2"),
-        ("group,flux\n*,10\n", "", "absorb"),
+        ("group,flux\n*,10\n", "", "the heat of patch 0 cannot leave"),
+        (
+            "group,temperature,emissivity:0-4,emissivity:5-inf\n*,9,1,1\n",
+            "",
+            "emissivity:0-4, emissivity:5-inf do not go",
+        ),
+        ("group,temperature,emissivity:4-0,emissivity:4-inf\n*,9,1,1\n", "", "do not go on from 0 to inf"),
+        ("group,temperature,emissivity:0-4\n*,9,1\n", "", "do not go on from 0 to inf"),
+        ("group,temperature,emissivity:short\n*,9,1\n", "", "'emissivity:short' is no band in micrometres"),
+        ("group,temperature,emissivity:0-4,emissivity:4-inf\n*,9,1,\n", "", "group 'floor' has no emissivity:4-inf"),
+        ("group,temperature,emissivity,emissivity:0-inf\n*,9,1,1\n", "", "give one or the other"),
+        ("group,temperature,emissivity:0-inf,emissivity:0-inf\n*,9,1,1\n", "", "has two columns 'emissivity:0-inf'"),
+        ("group,temperature,isothermal\n*,9,perhaps\n", "", "line 2: isothermal is 'yes' or 'no', not 'perhaps'"),
+        ("group,temperature,isotherm\n*,9,yes\n", "", "did you mean 'isothermal'"),
+        ("group,temperature\n*,300\n", "h,surroundings,Surroundings\n1,2,3\n", "two columns 'Surroundings'"),
+        ("group,temperature\n*,300\n", "h,surroundings\n1,-2\n", "surroundings must be at least 0"),
+        ("group,temperature\n*,300\n", "h,floor:emissivity:0-4\n1,1\n", "'floor:emissivity:0-4' is no GROUP:COLUMN"),
         ("group,temperature\n*,300\n", "h,floor\n1,2\n", "'floor' is no GROUP:COLUMN"),
         ("group,temperature\n*,300\n", "h,floor:emissivity\n1,2\n", "must end in temperature"),
         ("group,temperature\n*,300\n", "h,floor:temperature\n1,2\n2,\n", "line 3: column 'floor:temperature' has no"),
@@ -150,6 +202,20 @@ def test_bad_tables_are_one_line(capsys, conditions, loads, words):
     line = next(line for line in told.splitlines() if line.startswith("error: "))
     assert words in line, line
     assert not Path("heat.csv").exists()
+
+
+@pytest.mark.parametrize(("heads", "cells"), [("flux,isothermal", "0,yes"), ("power,isothermal", "5,")])
+def test_a_group_without_area(capsys, heads, cells):
+    """It can have a flux, and then has no temperature."""
+    Path("line.obj").write_text(Path("room.obj").read_text() + "g line\nf 1 2 2\n")
+    Path("c.csv").write_text(f"group,temperature,{heads}\nline,,{cells}\n*,300,,\n")
+    assert run("line.obj -c c.csv --bundles 16") not in (0, 70)
+    what = "isothermal" if "yes" in cells else "power"
+    assert f"group 'line' has no area, but {what} needs one" in capsys.readouterr().err
+    Path("c.csv").write_text("group,temperature,flux,emissivity:0-4,emissivity:4-inf\nline,,0,1,1\n*,300,,0.5,1\n")
+    assert run("line.obj -c c.csv --bundles 16") == 0
+    found = {row["group"]: row["temperature"] for row in rows("heat.csv")}
+    assert found == {"floor": "300", "roof": "300", "walls": "300", "line": ""}
 
 
 def test_files_that_cannot_be(capsys):

@@ -21,6 +21,7 @@ from etendue.radiosity import (
     solve,
     thermal,
 )
+from etendue.surfaces import band_emission
 
 INNER, OUTER = box((0.3, 0.3, 0.3), (0.6, 0.7, 0.8)), box((0, 0, 0), (1, 1, 1), inward=True)
 
@@ -63,6 +64,18 @@ def test_shares_of_bands():
         assert band_shares([300], [0, micrometres * 1e-6])[0, 0] == pytest.approx(exact, abs=1e-9)
     np.testing.assert_allclose(band_shares([0, 300, 6000], [0, 1e-6, 1e-5, np.inf]).sum(axis=1), [0, 1, 1])
     assert band_shares([300], [0, 2.897771955e-3 / 300])[0, 0] == pytest.approx(0.2500, abs=1e-3)
+
+
+def test_emission_of_bands_and_its_derivative():
+    """4 sigma T^3 of all bands together; of each, the difference quotient."""
+    t, edges = np.array([30.0, 300, 1000, 6000]), [0, 1e-6, 3e-6, 1e-5, 5e-5, np.inf]
+    emission, slope = band_emission(t, edges)
+    np.testing.assert_allclose(emission, band_shares(t, edges) * STEFAN_BOLTZMANN * t[:, None] ** 4, rtol=1e-12)
+    np.testing.assert_allclose(slope.sum(axis=1), 4 * STEFAN_BOLTZMANN * t**3, rtol=1e-12)
+    above, below = band_emission(t * (1 + 1e-4), edges)[0], band_emission(t * (1 - 1e-4), edges)[0]
+    quotient = (above - below) / (2e-4 * t[:, None])
+    np.testing.assert_allclose(slope, quotient, rtol=1e-4, atol=1e-10 * slope.max())
+    np.testing.assert_array_equal(band_emission(np.zeros(1), edges), 0)
 
 
 def test_gebhart_factors_give_the_net_heat():

@@ -88,11 +88,27 @@ def test_a_crater():
 
 def test_surroundings_warm_an_open_plate():
     patches = squares(2)
-    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5), surroundings=[250.0, 300.0])
+    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5, surroundings=[250.0, 300.0]))
     np.testing.assert_allclose(made.temperature, [[250, 300]])
-    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5, flux=100), surroundings=250)
+    made = heat_balance(patches, factors_of(patches, [[0]]), Conditions(emissivity=0.5, flux=100, surroundings=250))
     assert made.temperature[0, 0] == pytest.approx((250**4 + 100 / 0.5 / SIGMA) ** 0.25)
     assert made.heat[0, 0] == pytest.approx(200) and made.to_sky[0] == pytest.approx(200)
+
+
+def test_what_has_no_heat_is_cold():
+    """A plate in the dark at 0 K."""
+    made = heat_balance(squares(1), factors_of(squares(1), [[0]]), Conditions(emissivity=0.5))
+    assert made.temperature[0, 0] == made.heat[0, 0] == made.residual == 0
+
+
+def test_a_mirror_that_air_warms():
+    """It exchanges no radiation, so that T = T_a + q / h."""
+    patches = squares(1, 1)
+    conditions = {"emissivity": [0, 1], "temperature": [np.nan, 300], "flux": [-50, 0], "conductance": [10, 0]}
+    for edges in (None, [0, 4e-6, np.inf]):
+        known = conditions if edges is None else {**conditions, "emissivity": [[0, 0], [1, 1]], "edges": edges}
+        made = heat_balance(patches, factors_of(patches, PLATES), Conditions(**known, ambient=290))
+        assert made.temperature[0, 0] == pytest.approx(285, rel=1e-10) and made.heat[0, 0] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +116,8 @@ def test_surroundings_warm_an_open_plate():
     [
         ({"emissivity": [0, 1], "temperature": [np.nan, 300], "flux": [10, 0]}, "patch 0 has emissivity 0"),
         ({"temperature": [np.nan, 300], "flux": [-1e4, 0]}, "colder than 0 K"),
-        ({"temperature": np.nan, "flux": [10, 0]}, "reflect"),
+        ({"temperature": np.nan, "flux": [10, 0]}, "the heat of patch 0 cannot leave"),
+        ({"temperature": np.nan}, "the heat of patch 0 cannot leave"),
         ({"emissivity": 1.2, "temperature": 300}, "emissivity must be in"),
         ({"temperature": [-5, 300]}, "temperature must be at least 0"),
         ({"temperature": [300, 300, 300]}, "2 patches"),

@@ -24,7 +24,8 @@ def heat(
             "--conditions",
             "-c",
             help="Table with the columns group, temperature (K), flux (W/m^2, or adiabatic), power (W), conductance "
-            "(W/(m^2 K)), ambient (K), emissivity; '*' is every other group.",
+            "(W/(m^2 K)), ambient (K), emissivity, or by bands in micrometres emissivity:0-4, emissivity:4-inf, "
+            "isothermal (yes or no); '*' is every other group.",
             metavar="FILE",
         ),
     ],
@@ -33,7 +34,7 @@ def heat(
         typer.Option(
             "--loads",
             help="Table with a row for each case: its name, and columns GROUP:temperature, GROUP:flux, "
-            "GROUP:power or GROUP:ambient.",
+            "GROUP:power, GROUP:ambient, GROUP:conductance or surroundings.",
             metavar="FILE",
         ),
     ] = None,
@@ -47,9 +48,14 @@ def heat(
         ),
     ] = None,
     surroundings: Annotated[
-        float,
-        typer.Option("--surroundings", help="Temperature of the black sky around an open mesh.", metavar="K", min=0),
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            "--surroundings",
+            help="Temperature of the black sky around an open mesh, or 0.",
+            metavar="K",
+            min=0,
+        ),
+    ] = None,
     factors: Annotated[
         Path | None,
         typer.Option("--factors", help="Form factors of all patches from a file, .npz, .nc or .vf.", metavar="FILE"),
@@ -73,8 +79,9 @@ def heat(
 ) -> int:
     """Solve for temperatures and heat of the groups of a mesh that exchange heat by radiation.
 
-    Patches are grey. Those of a group have its temperature, or the heat flux that it sends into the enclosure (0 if it
-    is adiabatic), or exchange heat with a body of known temperature; their own temperatures are then found.
+    Patches of a group have its temperature, or the heat flux that it sends into the enclosure (0 if it is adiabatic),
+    or exchange heat with a body of known temperature; their own temperatures are then found. They are grey, or have an
+    emissivity for each band of wavelengths.
     """
     import time as clock
 

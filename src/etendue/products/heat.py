@@ -107,7 +107,11 @@ class HeatResult:
         t = found.temperature[np.isfinite(found.temperature)]
         cases = f", {len(self.cases)} cases" if len(self.cases) > 1 else ""
         words = f"{len(self.names)} groups{cases}: {t.min():.2f} to {t.max():.2f} K" if len(t) else "no temperatures"
-        return f"{words}, heat that is lost or gained {found.imbalance.max():.2g} of all"
+        newton = f"{found.steps} steps of Newton's method, " if found.steps > 1 else ""
+        return (
+            f"{words}, {newton}residual {found.residual:.1g}, heat that is lost or gained {found.imbalance.max():.2g} "
+            "of all"
+        )
 
 
 def check_heat_file(path: PathLike, cases: int = 1) -> Path:

@@ -25,7 +25,12 @@ if TYPE_CHECKING:
     from .diagnosis import MeshDiagnosis as MeshDiagnosis, diagnose as diagnose
     from .errors import PatchError as PatchError, SurfaceError as SurfaceError
     from .faces import face_vectors as face_vectors, named_faces as named_faces, triangles as triangles
-    from .heat import STEFAN_BOLTZMANN as STEFAN_BOLTZMANN, band_shares as band_shares, thermal as thermal
+    from .heat import (
+        STEFAN_BOLTZMANN as STEFAN_BOLTZMANN,
+        band_emission as band_emission,
+        band_shares as band_shares,
+        thermal as thermal,
+    )
     from .lightmaps.atlases import (
         LIGHTMAP_MESHES as LIGHTMAP_MESHES,
         TexturedMesh as TexturedMesh,

@@ -69,21 +69,40 @@ def band_shares(temperatures: ArrayLike, edges: ArrayLike) -> Array:
     Computed by the series in exp(-x), x = c2 / (wavelength temperature), and for small x by the power series [Chang
     1984]. Raises :class:`SurfaceError` for edges that do not ascend from 0 or more.
     """
+    return _bands(np.asarray(temperatures, dtype=np.float64), edges)[0]
+
+
+def band_emission(temperatures: Array, edges: ArrayLike) -> tuple[Array, Array]:
+    """Emission (n, b) of black bodies of temperatures (n,) between wavelengths ``edges`` (b + 1,), W/m^2, and its
+    derivative by the temperature; as :func:`band_shares`."""
+    share, slope = _bands(temperatures, edges)
+    cube = STEFAN_BOLTZMANN * temperatures[:, None] ** 3
+    return share * cube * temperatures[:, None], (4 * share + slope) * cube
+
+
+def _bands(temperatures: Array, edges: ArrayLike) -> tuple[Array, Array]:
+    """Shares of bands (n, b), and their logarithmic derivatives T df/dT."""
     limits = np.asarray(edges, dtype=np.float64)
     if limits.ndim != 1 or len(limits) < 2 or limits[0] < 0 or not (np.diff(limits) > 0).all():
         raise SurfaceError("edges of bands are two or more wavelengths in metres that ascend, from 0")
-    t = np.asarray(temperatures, dtype=np.float64)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = np.nan_to_num(_C2 / (limits * t), nan=np.inf, posinf=np.inf)
-    return np.diff(_share_below(x), axis=1)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        x = np.nan_to_num(_C2 / (limits * temperatures[:, None]), nan=np.inf, posinf=np.inf)
+        # Of the share below, d/dx is the integrand of Planck's law.
+        slope = np.where((x > 0) & (x < 700), 15 / np.pi**4 * x**4 / np.expm1(x), 0.0)
+    return np.diff(_share_below(x), axis=1), np.diff(slope, axis=1)
 
 
 def _share_below(x: Array) -> Array:
     """Share of black emission at wavelengths below c2 / (x T)."""
-    k = np.arange(1, 41)
-    large = np.clip(x, 0.9, 700)[..., None]
-    terms = np.exp(-k * large) * (large**3 / k + 3 * large**2 / k**2 + 6 * large / k**3 + 6 / k**4)
     small = np.minimum(x, 1.0)
     powers = 1 / 3 - small / 8 + small**2 / 60 - small**4 / 5040 + small**6 / 272160 - small**8 / 13305600
-    share = np.where(x > 0.95, 15 / np.pi**4 * terms.sum(axis=-1), 1 - 15 / np.pi**4 * small**3 * powers)
-    return np.where(x >= 700, 0.0, share)
+    share = 1 - 15 / np.pi**4 * small**3 * powers
+    is_large = (x > 0.95) & (x < 700)
+    y = x[is_large]
+    decay, power, terms = np.exp(-y), np.ones_like(y), np.zeros_like(y)
+    for k in range(1, 41):
+        power *= decay
+        terms += power * (((y / k + 3 / k**2) * y + 6 / k**3) * y + 6 / k**4)
+    share[is_large] = 15 / np.pi**4 * terms
+    share[x >= 700] = 0.0
+    return share
