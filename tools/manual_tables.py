@@ -120,18 +120,18 @@ def bibliography_page() -> str:
 
 
 def recorded(title: str, results: Path, page: Path) -> str:
-    """The table of a record without its bars; below it the command, the day and the machine, with a link from ``page``
+    """The table of a record without its bars; below it the command, the processor and the day, with a link from ``page``
     to the record, which has the conditions. Records whose titles differ at a ``*`` make one table; its first column has
     the first words that stand there. Raises ``ValueError`` if there is none, or if they have other columns."""
     name = re.escape(title).replace(r"\*", r"([^\n]+?)")
-    form = rf"^## ({name}, (\d{{4}}-\d\d-\d\d) \S+)\n\n(`.*?`); (.*?), load (.*?)\n\n(.*?)(?=\n\n|\n*\Z)"
+    form = rf"^## ({name}, (\d{{4}}-\d\d-\d\d) \S+)\n\n(`.*?`); (.*?cores), .*?, load (.*?)\n\n(.*?)(?=\n\n|\n*\Z)"
     found = list(re.finditer(form, results.read_text("utf-8"), re.MULTILINE | re.DOTALL))
     if not found:
         raise ValueError(f"{results.relative_to(ROOT)} has no table '{title}'")
     lines: list[str] = []
     sources: dict[str, list[str]] = {}
     for record in found:
-        heading, *words, day, command, machine, software, table = record.groups()
+        heading, *words, day, command, cores, software, table = record.groups()
         rows = [
             [_VERDICT.sub("", cell.strip()) for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in table.split("\n")
         ]
@@ -143,10 +143,10 @@ def recorded(title: str, results: Path, page: Path) -> str:
             raise ValueError(f"{results.relative_to(ROOT)}: '{heading}' has other columns than the records before it")
         lines += made[2:] if lines else made
         if gpu := re.search(r"cuda_ad_rgb, (.+?), etendue", software):
-            machine = f"{gpu[1]}, {machine}"
+            cores = f"{gpu[1]}, {cores}"
         anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
         link = f"[{', '.join([*first, day])}]({os.path.relpath(results, page.parent)}#{anchor})"
-        sources.setdefault(f"{command}, {machine}", []).append(link)
+        sources.setdefault(f"{command}, {cores}", []).append(link)
     return "\n".join([*lines, "", *(f"- {what}: {', '.join(links)}" for what, links in sources.items())])
 
 
