@@ -21,7 +21,7 @@ from etendue.products import FACTORS, PARTICLES, SOLUTIONS, find
 from etendue.radiosity import BoxSettings
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ROOT / "docs" / "methods"
+DOCS = ROOT / "docs"
 #: Where ``<!-- record: FOLDER/TITLE -->`` and ``<!-- /record -->`` enclose a table of ``RESULTS.md`` of a folder of the
 #: benchmarks; without the folder, of their own. A ``*`` stands for the words in which several titles differ.
 _RECORD = re.compile(r"(<!-- record: (?:(\w+)/(?=\S))?(.+?) -->\n).*?(<!-- /record -->)", re.DOTALL)
@@ -120,9 +120,9 @@ def bibliography_page() -> str:
 
 
 def recorded(title: str, results: Path, page: Path) -> str:
-    """The table of a record without its bars; below it the command, the processor and the day, with a link from ``page``
-    to the record, which has the conditions. Records whose titles differ at a ``*`` make one table; its first column has
-    the first words that stand there. Raises ``ValueError`` if there is none, or if they have other columns."""
+    """The table of a record without its bars; below it the command, the processor, and a link from ``page`` to the
+    record, which has the conditions. Records whose titles differ at a ``*`` make one table; its first column has the
+    first words that stand there. Raises ``ValueError`` if there is none, or if they have other columns."""
     name = re.escape(title).replace(r"\*", r"([^\n]+?)")
     form = rf"^## ({name}, (\d{{4}}-\d\d-\d\d) \S+)\n\n(`.*?`); (.*?cores), .*?, load (.*?)\n\n(.*?)(?=\n\n|\n*\Z)"
     found = list(re.finditer(form, results.read_text("utf-8"), re.MULTILINE | re.DOTALL))
@@ -135,7 +135,7 @@ def recorded(title: str, results: Path, page: Path) -> str:
         rows = [
             [_VERDICT.sub("", cell.strip()) for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in table.split("\n")
         ]
-        kept = [k for k, column in enumerate(rows[0]) if column != "bar"]
+        kept = [k for k, column in enumerate(rows[0]) if not column.startswith("bar")]
         first = [words[0].split(",")[0]] if words else []
         heads = (["", "---"] if first else []) + first * (len(rows) - 2)
         made = ["| " + " | ".join([*heads[k : k + 1], *(row[j] for j in kept)]) + " |" for k, row in enumerate(rows)]
@@ -161,14 +161,12 @@ def with_records(page: Path) -> str:
 
 
 def pages() -> dict[Path, str]:
-    """Every page with generated parts, as it should be."""
-    wanted = {PAGES / f"{name}.md": method for name, method in methods.table().items()}
-    made = {page: current(page.read_text("utf-8"), method) for page, method in wanted.items()}
-    made |= {page: with_records(page) for page in PAGES.parent.glob("*.md") if _RECORD.search(page.read_text("utf-8"))}
-    return made | {
-        PAGES.parent / "settings.md": settings_page(),
-        PAGES.parent / "bibliography.md": bibliography_page(),
-    }
+    """Every page of the manual, with generated parts as they should be."""
+    made = {page: with_records(page) for page in DOCS.rglob("*.md")}
+    for name, method in methods.table().items():
+        page = DOCS / "methods" / f"{name}.md"
+        made[page] = current(made[page], method)
+    return made | {DOCS / "settings.md": settings_page(), DOCS / "bibliography.md": bibliography_page()}
 
 
 def stale() -> dict[Path, str]:
