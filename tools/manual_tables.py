@@ -146,7 +146,7 @@ def recorded(title: str, results: Path, page: Path) -> str:
             cores = f"{gpu[1]}, {cores}"
         anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
         link = f"[{', '.join([*first, day])}]({os.path.relpath(results, page.parent)}#{anchor})"
-        sources.setdefault(f"{command}, {cores}", []).append(link)
+        sources.setdefault(f"{command.replace(' --record', '')}, {cores}", []).append(link)
     return "\n".join([*lines, "", *(f"- {what}: {', '.join(links)}" for what, links in sources.items())])
 
 
