@@ -1,7 +1,7 @@
 """Sphinx's settings of the manual: Markdown pages by MyST, the reference from the docstrings.
 
-``make docs`` builds it, strictly: a link that leads nowhere, a citation without an entry in the bibliography and a
-docstring that does not parse end the build.
+``make docs`` builds it, strictly: a link that leads nowhere, a citation without an entry in the bibliography, a table
+that is older than its record and a docstring that does not parse end the build.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT / "tools"))
 
+import manual_tables  # noqa: E402
 import reference_pages  # noqa: E402
 
 import etendue  # noqa: E402
@@ -123,7 +124,9 @@ def cited(text: str, up: str) -> str:
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write what is made from the code and from other folders."""
+    """Write what is made from the code and from other folders; warns of generated parts that are not current."""
+    for page in manual_tables.stale():
+        logger.warning("%s: run python tools/manual_tables.py", page.relative_to(ROOT))
     reference_pages.write_reference(DOCS / "reference")
     for source, name in MOUNTED.items():
         page = DOCS / f"{name}.md"

@@ -1,4 +1,4 @@
-"""Write the generated parts of the manual: settings and papers of methods, the bibliography, and measured figures.
+"""Write the generated parts of the manual: settings and papers of methods, the bibliography, and recorded tables.
 
 python tools/manual_tables.py            rewrite the pages between their markers
 python tools/manual_tables.py --check    exit with 1 if a page is not current
@@ -6,6 +6,7 @@ python tools/manual_tables.py --check    exit with 1 if a page is not current
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import unicodedata
@@ -20,9 +21,10 @@ from etendue.products import FACTORS, PARTICLES, SOLUTIONS, find
 from etendue.radiosity import BoxSettings
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ROOT / "docs" / "methods"
-#: Where ``<!-- record: TITLE -->`` and ``<!-- /record -->`` enclose a table of the benchmarks' records.
-_RECORD = re.compile(r"(<!-- record: (.+?) -->\n).*?(<!-- /record -->)", re.DOTALL)
+DOCS = ROOT / "docs"
+#: Where ``<!-- record: FOLDER/TITLE -->`` and ``<!-- /record -->`` enclose a table of ``RESULTS.md`` of a folder of the
+#: benchmarks; without the folder, of their own. A ``*`` stands for the words in which several titles differ.
+_RECORD = re.compile(r"(<!-- record: (?:(\w+)/(?=\S))?(.+?) -->\n).*?(<!-- /record -->)", re.DOTALL)
 #: What a cell says of the bar of its figure.
 _VERDICT = re.compile(r", [≤≥] [^|]*?: (reached|missed)")
 #: An accent of BibTeX on a letter, in the forms ``\\v{r}``, ``{\\'a}`` and the like.
@@ -117,51 +119,71 @@ def bibliography_page() -> str:
     return f"# Bibliography\n\n{head}\n\n" + "\n".join(rows) + "\n"
 
 
-def recorded(title: str, records: str) -> str:
-    """The table of a record without its bars, its notes, and the command, day and machine that made it."""
-    head = rf"^## {re.escape(title)}, (\d{{4}}-\d\d-\d\d) .*?\n\n(`.*?`); (.*?), load (.*?)\n\n(.*?)(?=\n\n## |\Z)"
-    found = re.search(head, records, re.MULTILINE | re.DOTALL)
+def recorded(title: str, results: Path, page: Path) -> str:
+    """The table of a record without its bars; below it the command, the processor, and a link from ``page`` to the
+    record, which has the conditions. Records whose titles differ at a ``*`` make one table; its first column has the
+    first words that stand there. Raises ``ValueError`` if there is none, or if they have other columns."""
+    name = re.escape(title).replace(r"\*", r"([^\n]+?)")
+    form = rf"^## ({name}, (\d{{4}}-\d\d-\d\d) \S+)\n\n(`.*?`); (.*?cores), .*?, load (.*?)\n\n(.*?)(?=\n\n|\n*\Z)"
+    found = list(re.finditer(form, results.read_text("utf-8"), re.MULTILINE | re.DOTALL))
     if not found:
-        raise ValueError(f"benchmarks/RESULTS.md has no table '{title}'")
-    day, command, machine, software, body = found.groups()
-    table, _, notes = body.strip().partition("\n\n")
-    if gpu := re.search(r"cuda_ad_rgb, (.+?), etendue", software):
-        machine = f"{gpu[1]}, {machine}"
-    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.split("\n")]
-    kept = [k for k, name in enumerate(rows[0]) if name != "bar"]
-    lines = ["| " + " | ".join(_VERDICT.sub("", row[k]) for k in kept) + " |" for row in rows]
-    left = [note for note in notes.split("\n") if not _VERDICT.search(f", {note}")]
-    return "\n".join([*lines, "", *left, f"- {command}, {day}, {machine}"])
+        raise ValueError(f"{results.relative_to(ROOT)} has no table '{title}'")
+    lines: list[str] = []
+    sources: dict[str, list[str]] = {}
+    for record in found:
+        heading, *words, day, command, cores, software, table = record.groups()
+        rows = [
+            [_VERDICT.sub("", cell.strip()) for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in table.split("\n")
+        ]
+        kept = [k for k, column in enumerate(rows[0]) if not column.startswith("bar")]
+        first = [words[0].split(",")[0]] if words else []
+        heads = (["", "---"] if first else []) + first * (len(rows) - 2)
+        made = ["| " + " | ".join([*heads[k : k + 1], *(row[j] for j in kept)]) + " |" for k, row in enumerate(rows)]
+        if lines and made[:2] != lines[:2]:
+            raise ValueError(f"{results.relative_to(ROOT)}: '{heading}' has other columns than the records before it")
+        lines += made[2:] if lines else made
+        if gpu := re.search(r"cuda_ad_rgb, (.+?), etendue", software):
+            cores = f"{gpu[1]}, {cores}"
+        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        link = f"[{', '.join([*first, day])}]({os.path.relpath(results, page.parent)}#{anchor})"
+        sources.setdefault(f"{command.replace(' --record', '')}, {cores}", []).append(link)
+    return "\n".join([*lines, "", *(f"- {what}: {', '.join(links)}" for what, links in sources.items())])
 
 
-def speed_page() -> str:
-    """The page of measured figures with its tables from the records."""
-    records = (ROOT / "benchmarks" / "RESULTS.md").read_text("utf-8")
-    page = (ROOT / "docs" / "speed.md").read_text("utf-8")
-    return _RECORD.sub(lambda m: f"{m[1]}{recorded(m[2], records)}\n{m[3]}", page)
+def with_records(page: Path) -> str:
+    """The text of a page with its tables as the records have them."""
+
+    def table(match: re.Match[str]) -> str:
+        start, folder, title, end = match.groups()
+        return f"{start}{recorded(title, ROOT / 'benchmarks' / (folder or '') / 'RESULTS.md', page)}\n{end}"
+
+    return _RECORD.sub(table, page.read_text("utf-8"))
 
 
 def pages() -> dict[Path, str]:
-    """Every page with generated parts, as it should be."""
-    wanted = {PAGES / f"{name}.md": method for name, method in methods.table().items()}
-    made = {page: current(page.read_text("utf-8"), method) for page, method in wanted.items()}
-    return made | {
-        PAGES.parent / "settings.md": settings_page(),
-        PAGES.parent / "bibliography.md": bibliography_page(),
-        PAGES.parent / "speed.md": speed_page(),
-    }
+    """Every page of the manual, with generated parts as they should be."""
+    made = {page: with_records(page) for page in DOCS.rglob("*.md")}
+    for name, method in methods.table().items():
+        page = DOCS / "methods" / f"{name}.md"
+        made[page] = current(made[page], method)
+    return made | {DOCS / "settings.md": settings_page(), DOCS / "bibliography.md": bibliography_page()}
+
+
+def stale() -> dict[Path, str]:
+    """The pages that are not as they should be, with the text that they should have."""
+    return {page: text for page, text in pages().items() if not page.exists() or page.read_text("utf-8") != text}
 
 
 def main(arguments: list[str]) -> int:
     """Rewrite or check every page; the exit status."""
-    stale = {page: text for page, text in pages().items() if not page.exists() or page.read_text("utf-8") != text}
+    found = stale()
     if "--check" not in arguments:
-        for page, text in stale.items():
+        for page, text in found.items():
             page.write_text(text, "utf-8")
-    if stale:
-        names = ", ".join(page.name for page in stale)
+    if found:
+        names = ", ".join(page.name for page in found)
         print(f"{'not current' if '--check' in arguments else 'rewritten'}: {names}")
-    return int(bool(stale) and "--check" in arguments)
+    return int(bool(found) and "--check" in arguments)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from benchmarks.measuring import Record
 from support.run_files import SCENE, example
 from support.weather import written, year
 
@@ -50,8 +51,32 @@ def generator():
 
 
 def test_generated_parts_are_current():
-    for page, text in generator().pages().items():
-        assert page.read_text("utf-8") == text, f"{page.name}: run python tools/manual_tables.py"
+    names = ", ".join(page.name for page in generator().stale())
+    assert not names, f"{names}: run python tools/manual_tables.py"
+
+
+def written_record(folder, title, columns, *cells):
+    record = Record(title, columns)
+    record.add(*cells)
+    record.publish("llvm_ad_rgb", folder / "RESULTS.md")
+
+
+def test_tables_of_records(tmp_path):
+    tables = generator()
+    tables.ROOT = tmp_path
+    results, page = tmp_path / "RESULTS.md", tmp_path / "docs" / "page.md"
+    written_record(tmp_path, "Speed of it, hall, 2 seats, 9 s", ("seconds", "bar"), "1 | 2, ≤ 3: reached", "≤ 3")
+    written_record(tmp_path, "Speed of it, oven, 9 s", ("seconds", "bar"), "4", "")
+    head, rule, first, second, _, source = tables.recorded("Speed of it, *, 9 s", results, page).split("\n")
+    assert [head, rule] == ["|  | seconds |", "| --- | --- |"]
+    assert [first, second] == [r"| hall | 1 \| 2 |", "| oven | 4 |"]
+    assert "`python -m " in source and "](../RESULTS.md#speed-of-it-oven-9-s-20" in source
+
+    with pytest.raises(ValueError, match=r"RESULTS\.md has no table 'Speed of it'"):
+        tables.recorded("Speed of it", results, page)
+    written_record(tmp_path, "Speed of it, hall, 9 s", ("minutes",), "1")
+    with pytest.raises(ValueError, match=r"'Speed of it, hall, 9 s, .*' has other columns"):
+        tables.recorded("Speed of it, *, 9 s", results, page)
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,14 @@ def test_the_reference_has_the_names_and_commands(conf, tmp_path):
     assert "autoclass:: etendue.radiosity.Patches\n" not in pages
 
 
+def test_tables_older_than_their_records_end_the_build(conf, caplog, monkeypatch):
+    monkeypatch.setattr(conf.manual_tables, "stale", lambda: {DOCS / "speed.md": ""})
+    monkeypatch.setattr(conf.reference_pages, "write_reference", lambda folder: None)
+    monkeypatch.setattr(conf, "MOUNTED", {})
+    conf.write_pages(None)
+    assert "docs/speed.md: run python tools/manual_tables.py" in caplog.text
+
+
 @pytest.mark.slow
 def test_the_build_is_strict(tmp_path):
     pytest.importorskip("furo")
