@@ -1,8 +1,8 @@
 """Loops compiled for the CPU by Numba: over stored segments, and of solvers.
 
-Only this file, ``scanlines``, those behind ``factors.exchange`` and files of ``hierarchical_multipath`` use Numba. Their
-functions release Python's lock, so that threads run in parallel. Results do not depend on the number of threads, except for the order of
-additions.
+Only this file, ``scanlines``, files behind ``factors.exchange`` and files of ``hierarchical_multipath`` use Numba. Their
+functions release Python's lock, so that threads run in parallel. Results do not depend on the number of threads, except
+for the order of additions.
 
 A *segment* is a pair of patch indices, or a patch index and ``n`` for the sky, ``n + 1`` for dark (the back of a face).
 """
