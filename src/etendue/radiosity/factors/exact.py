@@ -62,10 +62,12 @@ def exact_form_factors(
     errors *= pairs.radius**2
     dark = exchange[:n, n] / patches.divisors
     both, off = exchange + exchange.T, errors + errors.T
-    matrix = sparse().csr_array(both[:n, :n] / patches.divisors[:, None])
-    estimates = matrix.copy()
-    rows = np.repeat(np.arange(n), np.diff(matrix.indptr))
-    estimates.data = off[rows, matrix.indices] / patches.divisors[rows]
+    known = sparse().csr_array((both[:n, :n] > 0) | (off[:n, :n] > 0))  # also where nothing is seen from some points
+    rows = np.repeat(np.arange(n), np.diff(known.indptr))
+    matrix, estimates = (
+        sparse().csr_array((a[rows, known.indices] / patches.divisors[rows], known.indices, known.indptr), (n, n))
+        for a in (both, off)
+    )
     sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
     allowed = np.maximum(_CLOSED, off[:n].sum(axis=1) / patches.divisors)
     sky[(sky < allowed) | patches.empty] = 0.0
