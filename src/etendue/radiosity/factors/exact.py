@@ -18,6 +18,7 @@ from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.abuffer import ABuffer
+from ..lines.engine import warn_of_backs
 from .formfactors import FormFactors, numbers_of
 from .occluders import Index, Occluders, occluders
 
@@ -72,6 +73,7 @@ def exact_form_factors(
     allowed = np.maximum(_CLOSED, off[:n].sum(axis=1) / patches.divisors)
     sky[(sky < allowed) | patches.empty] = 0.0
     numbers = numbers_of(patches)
+    warn_of_backs(float(dark @ patches.areas / max(patches.areas.sum(), 1e-300)), "of what patches see is")
     return FormFactors(matrix, estimates, sky, patches.areas, np.zeros(n, np.int64), dark, **numbers)
 
 
@@ -143,7 +145,7 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
 
 def _backs_are_seen(patches: Patches) -> bool:
     """Whether any back without a patch is seen, by a cast of few lines."""
-    return bool(ABuffer(patches, OwenSobol(4, seed=0)).cast(_LOOK).dark.any())
+    return bool(ABuffer(patches, OwenSobol(4, seed=0)).cast(_LOOK, warn=False).dark.any())
 
 
 def _sides(patches: Patches, with_backs: bool) -> tuple[Index, Index, NDArray[np.bool_]]:
