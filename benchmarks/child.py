@@ -88,22 +88,27 @@ def picture(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def view_factors(options: dict[str, Any]) -> dict[str, Any]:
-    """CPU seconds of a first call, of global lines with F J, and of a solution; those are written to ``out``."""
+    """CPU seconds of a first call, of global lines or integrals (to a ``tolerance``) with F J, and of a solution; those
+    are written to ``out``."""
     import numpy as np
 
-    from etendue.radiosity import ABuffer, solve
+    from etendue.radiosity import ABuffer, exact_form_factors, solve
 
     from .exchanges import room, smooth_radiosity
 
-    clock = [time.process_time()]
+    clock, tolerance = [time.process_time()], options.get("tolerance")
     for cells, bundles in ((4, 1), (options["cells"], options["bundles"])):
         patches = room(cells)
-        segments = ABuffer(patches, lines=options["lines"]).cast(bundles)
-        gathered = segments.gather(smooth_radiosity(patches))
+        if tolerance:
+            factors = exact_form_factors(patches, tolerance)
+            gathered = factors.matrix @ smooth_radiosity(patches)
+        else:
+            factors = ABuffer(patches, lines=options["lines"]).cast(bundles)
+            gathered = factors.gather(smooth_radiosity(patches))
         if bundles == 1:
-            solve(patches, segments, "conjugate-gradient", tolerance=1e-4)
+            solve(patches, factors, "conjugate-gradient", tolerance=1e-4)
         clock.append(time.process_time())
-    solution = solve(patches, segments, "conjugate-gradient", tolerance=1e-4)
+    solution = solve(patches, factors, "conjugate-gradient", tolerance=1e-4)
     clock.append(time.process_time())
     np.savez(options["out"], gathered=gathered, irradiance=solution.irradiance[:, 0])
     return dict(zip(("first", "factors", "solution"), np.diff(clock).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""View factors of a room with boxes by global lines and by other programs: CPU time, and what comes of them.
+"""View factors of a room with boxes by lines, by integrals and by other programs: CPU time, and what comes of them.
 
 Each program computes all view factors F in a process of its own, and from them F J for a given smooth radiosity J, and
 the radiosities of a room that reflects 0.7 and has a small lamp. Errors are relative for each patch, root mean square.
@@ -32,6 +32,8 @@ from .options import Bundles, Cells
 #: Share of the CPU time and of the error of pyViewFactor; the error of F J in rooms of these numbers of cells, and
 #: those where time counts with the solution.
 _TIME_BAR, _ERROR_BAR = 1 / 20, 1 / 6
+#: Share of the CPU time of View3D, by integrals to 1e-3.
+_EXACT_BAR = 1 / 10
 _ERROR_BARS, _WHOLE_BARS = {20: 1.5e-3, 24: 2e-3}, (24,)
 #: Runs and bundles of the reference by lines; their seeds are not that of the run that is measured.
 _RUNS, _BUNDLES, _FIRST_SEED = 16, 2048, 1000
@@ -50,9 +52,10 @@ class Outcome:
 
 
 def measure(
-    sizes: Cells = "20,24",
+    sizes: Cells = "10,20,24",
     bundles: Bundles = 1024,
     lines: Annotated[float, typer.Option(min=1, help="Lines of a bundle.")] = 48000,
+    tolerance: Annotated[float, typer.Option(help="Of rows by integrals.")] = 1e-3,
     peer_python: Annotated[
         str | None, typer.Option(help="A Python that has pyViewFactor 1.1.0.", metavar="PROGRAM")
     ] = None,
@@ -64,8 +67,9 @@ def measure(
     for cells in sizes:
         patches = room(cells)
         outcomes = {
-            "lines": _lines(cells, bundles, lines),
-            "lines, cold": _lines(cells, bundles, lines, cold=True),
+            "lines": _ours(cells, bundles, lines),
+            "lines, cold": _ours(cells, bundles, lines, cold=True),
+            "integrals": _ours(cells, bundles, lines, tolerance=tolerance),
         }
         others = {"pyViewFactor": _pyviewfactor(patches, peer_python), "View3D": _view3d(patches, view3d)}
         outcomes |= {name: outcome for name, outcome in others.items() if outcome is not None}
@@ -84,12 +88,18 @@ def measure(
                 *(f"{outcome.factors:.2f}", f"{errors[name]:.2g}", f"{off.max():.2g}"),
                 *(f"{outcome.solution:.2f}", f"{solved:.2g}", f"{outcome.factors + outcome.solution:.2f}"),
             )
+        ours, theirs = outcomes["integrals"], outcomes.get("View3D")
+        if ours is not None and theirs is not None:
+            ratio = ours.factors / theirs.factors
+            record.notes.append(
+                f"{len(patches)} patches, integrals to View3D: CPU time {ratio:.3f}, {verdict(ratio, _EXACT_BAR)}"
+            )
         ours, theirs = outcomes["lines"], outcomes.get("pyViewFactor")
         if ours is not None and theirs is not None:
             record.notes.append(_verdicts(cells, ours, theirs, errors["lines"], errors["pyViewFactor"]))
     record.notes += [
         "CPU s: of all threads; first call: on a room of 136 patches, loads what is compiled (cold: compiles)",
-        f"lines: {bundles} bundles of {lines:g} lines, in a process of their own",
+        f"lines: {bundles} bundles of {lines:g} lines; integrals: rows to {tolerance:g}; in a process of their own",
     ]
     for name, given in (("pyViewFactor: --peer-python", peer_python), ("View3D: --view3d", view3d)):
         if not given:
@@ -108,11 +118,12 @@ def _verdicts(cells: int, ours: Outcome, theirs: Outcome, our_error: float, thei
     return "; ".join(part.removesuffix(", ") for part in parts)
 
 
-def _lines(cells: int, bundles: int, lines: float, cold: bool = False) -> Outcome | None:
-    """By ``benchmarks.child``; ``cold`` with an empty folder for compiled loops."""
+def _ours(cells: int, bundles: int, lines: float, cold: bool = False, tolerance: float | None = None) -> Outcome | None:
+    """By ``benchmarks.child``: by lines, or by integrals to a ``tolerance``; ``cold`` with an empty folder for compiled
+    loops."""
     with tempfile.TemporaryDirectory(prefix="loops-") as folder:
         out = Path(folder) / "out.npz"
-        options = {"cells": cells, "bundles": bundles, "lines": lines, "out": str(out)}
+        options = {"cells": cells, "bundles": bundles, "lines": lines, "tolerance": tolerance, "out": str(out)}
         seconds = child("view-factors", options, {"NUMBA_CACHE_DIR": folder} if cold else None)
         return _read(out, seconds) if seconds else None
 

@@ -325,9 +325,9 @@ def compute_form_factors(
     mesh: :class:`etendue.radiosity.Patches`, the path of a mesh file, or a Mitsuba scene in any form that
         :func:`render` takes. Each face is a patch; faces larger than ``max_area`` are subdivided.
     method: ``lines`` through the whole scene; ``spheres``, lines in spheres around ``objects`` and in the whole scene;
-        ``exact``, by integrals, see :func:`etendue.radiosity.exact_form_factors`; or ``auto``, exact for up to 1,500
-        patches unless something is asked for that only lines have. ``settings`` are those of the
-        method, see ``etendue methods lines``.
+        ``exact``, by integrals, see :func:`etendue.radiosity.exact_form_factors`; or ``auto``, exact or lines: the
+        faster one to an ``error``, by a measurement; without it exact if it takes at most 10 seconds. ``settings`` are
+        those of the method, see ``etendue methods lines``.
     estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
         default F1, or F4 with ``spheres``.
     objects, walls: for ``spheres``, what makes an object and which objects are walls, see

@@ -13,7 +13,7 @@ from etendue.core import OptionError
 
 from . import options as opt
 from .console import error_console, note, say
-from .patches import Bundles, Ids, MaxArea, Reflectance, TwoSided, quantity
+from .patches import Bundles, Ids, MaxArea, More, Obstacles, Orient, Reflectance, TwoSided, mesh_arguments, quantity
 from .settings import settings_in, with_settings
 
 if TYPE_CHECKING:
@@ -206,6 +206,9 @@ def daylight(
     reflectance: Reflectance = None,
     ids: Ids = None,
     two_sided: TwoSided = False,
+    more: More = None,
+    obstacles: Obstacles = None,
+    orient: Orient = None,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
     define: opt.Define = None,
@@ -233,7 +236,7 @@ def daylight(
 
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
     limits = opt.limits(time, error, spp=spp, bundles=bundles)
-    mesh = {"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided}
+    mesh = mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance))
     if surfaces:
         if not (points is None and grid is None and cells is None):
             raise OptionError("--surfaces are in place of --points and --grid; give one of them")

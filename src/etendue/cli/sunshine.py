@@ -13,7 +13,7 @@ from etendue.core import OptionError, format_count, format_seconds
 
 from . import options as opt
 from .console import Steps, error_console, note, say
-from .patches import Ids, LineSeed, MaxArea, TwoSided
+from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, TwoSided, mesh_arguments
 
 if TYPE_CHECKING:
     from etendue.lighting import Suns
@@ -68,6 +68,9 @@ def sunlight(
     ids: Ids = None,
     max_area: MaxArea = None,
     two_sided: TwoSided = False,
+    more: More = None,
+    obstacles: Obstacles = None,
+    orient: Orient = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
     param: opt.Param = None,
@@ -90,7 +93,7 @@ def sunlight(
     source = PatchSource(
         source=mesh,
         max_area=max_area,
-        mesh={"ids": ids, "two_sided": two_sided},
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles),
         parameters=opt.parse_pairs(param, "-P"),
     )
     with Steps(error_console(), "reading") as steps:

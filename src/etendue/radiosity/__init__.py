@@ -60,7 +60,11 @@ from .factors.corrections import (
     check_threshold as check_threshold,
     corrected as corrected,
 )
-from .factors.exact import EXACT_TOLERANCE as EXACT_TOLERANCE, exact_form_factors as exact_form_factors
+from .factors.exact import (
+    EXACT_TOLERANCE as EXACT_TOLERANCE,
+    exact_form_factors as exact_form_factors,
+    exact_seconds as exact_seconds,
+)
 from .factors.formfactors import (
     ESTIMATORS as ESTIMATORS,
     Estimator as Estimator,

@@ -1,6 +1,6 @@
 """Loops compiled for the CPU by Numba: over stored segments, and of solvers.
 
-Only this file, ``scanlines``, files behind ``factors.exchange`` and files of ``hierarchical_multipath`` use Numba. Their
+Only this file, ``scanlines``, files behind ``factors.exchange`` and of ``hierarchical_multipath`` use Numba. Their
 functions release Python's lock, so that threads run in parallel. Results do not depend on the number of threads, except
 for the order of additions.
 

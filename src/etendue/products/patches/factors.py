@@ -167,9 +167,10 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         problem = source.open(tell)
         self.check(problem)
         on_patches(problem.patches)
-        tell("integrating over contours")
         begin = time.perf_counter()
-        factors, correction = self._corrected(exact_form_factors(problem.patches, self.tolerance or EXACT_TOLERANCE))
+        factors, correction = self._corrected(
+            exact_form_factors(problem.patches, self.tolerance or EXACT_TOLERANCE, tell)
+        )
         elapsed, writing = time.perf_counter() - begin, Writing()
         groups = self._write(writing, problem.patches, factors, about(problem.source, estimator="exact", **self._asked))
         writing.finish()

@@ -15,14 +15,13 @@ from etendue.radiosity import SOLVERS, GroupSettings, LineCasting, PartSource, P
 
 from ..registry import FACTORS, SOLUTIONS, budget_of, chosen, current, find
 from .base import PatchProduct
+from .choosing import choose
 from .factors import FormFactorProduct
 from .solution_files import SolutionFiles
 from .solutions import BOXES, SolutionProduct
 
 #: Methods without passes.
 EXACT, AMBIENT, AUTO = "exact", "ambient", "auto"
-#: Most patches of form factors that `auto` integrates; by lines they take a second, with a hundred times the error.
-_FEW_PATCHES = 1500
 
 
 @dataclass(frozen=True)
@@ -132,18 +131,17 @@ class FactorRun(PatchRun):
         return self._task(source, chosen(method, (*FACTORS, EXACT, AUTO), "form factors"), product)
 
     def _chosen(self, source: PatchSource) -> str:
-        """Integrals or lines, by the number of patches and by what is asked for; ``tell`` gets the reason."""
-        patches = source.open(silent).patches
+        """Integrals or lines, by what is asked for and by their time; ``tell`` gets the reason."""
         others = [name for name, value in self.limits.items() if value is not None and name != "error"]
         others += ["up"] * (self.up is not None) + ["sky_patches"] * (self.sky_patches is not None)
         others += ["checkpoint"] * (self.checkpoint is not None) + list(self.settings)
-        why = f"{others[0]} is asked for" if others else ""
-        if not why and len(patches) > _FEW_PATCHES:
-            why = f"{len(patches)} patches are more than {_FEW_PATCHES}"
-        if not why and len(patches.coincident.pairs):
-            why = "faces lie on each other"
-        self.tell(f"method lines: {why}" if why else f"method exact: there are {len(patches)} patches")
-        return LineCasting.name if why else EXACT
+        if others:
+            is_exact, why = False, f"{others[0]} is asked for"
+        else:
+            is_exact, why = choose(source.open(silent).patches, self.limits.get("error"))
+        method = EXACT if is_exact else LineCasting.name
+        self.tell(f"method {method}: {why}")
+        return method
 
 
 @dataclass(kw_only=True)

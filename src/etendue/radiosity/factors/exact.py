@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +18,9 @@ from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.abuffer import ABuffer
+from ..lines.engine import warn_of_backs
 from .formfactors import FormFactors, numbers_of
-from .occluders import Index, occluders
+from .occluders import Index, Occluders, occluders
 
 #: Tolerance of rows, by default.
 EXACT_TOLERANCE = 1e-4
@@ -23,20 +28,24 @@ EXACT_TOLERANCE = 1e-4
 _BYTES = 64
 #: Bundles of lines that look for backs in sight: their share is then zero, or below one in some hundred thousand.
 _LOOK = 64
+#: Pairs by which time is estimated, in runs of so many sides: some tenths of a second.
+_PILOT, _RUN = 200_000, 8
 #: Error of form factors between distant patches that see all of each other: a share of the tolerance, at least this.
 _OF_TOLERANCE, _LEAST = 0.01, 1e-8
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
 _CLOSED = 1e-6
 
 
-def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> FormFactors:
+def exact_form_factors(
+    patches: Patches, tolerance: float = EXACT_TOLERANCE, tell: Callable[[str], object] = lambda text: None
+) -> FormFactors:
     """Form factors by contour integrals [Sparrow 1963]. Time and memory grow with the square of the number of patches.
 
-    tolerance: of the sum of a row, root mean square. Pairs that see all of each other have errors of a hundredth of it
-    at most, 1e-8 if they are near (1e-6 from meshes in single precision); those that a face hides from each other are
-    zero. Of those that are hidden in part, the contour of what is seen is integrated in closed form from points of the
-    smaller patch: from some of Sobol's sequence, as many as the tolerance needs for the size of the form factor, or
-    from those of triangles that are divided where they differ. ``errors`` has estimates.
+    tolerance: of the sum of a row, root mean square; tell: receives the progress. Pairs that see all of each other have
+    errors of a hundredth of it at most, 1e-8 if they are near (1e-6 from meshes in single precision); those that a face
+    hides from each other are zero. Of those that are hidden in part, the contour of what is seen is integrated in
+    closed form from points of the smaller patch: from some of Sobol's sequence, as many as the tolerance needs for the
+    size of the form factor, or from those of triangles that are divided where they differ. ``errors`` has estimates.
 
     Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of
     backs of faces; deficits below 1e-6, or below the errors of the row, are left.
@@ -45,6 +54,69 @@ def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> 
     there is room for, and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
     :class:`etendue.core.BackendError` without Numba.
     """
+    pairs, n = _pairs(patches, tolerance), len(patches)
+    exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
+    tasks = _tasks(pairs.sides.patch, n)
+    for k, _ in enumerate(in_order(partial(pairs.integrate, rows, exchange, errors) for rows in tasks)):
+        tell(f"integrating, {100 * k // len(tasks)} %")
+    exchange *= pairs.radius**2
+    errors *= pairs.radius**2
+    dark = exchange[:n, n] / patches.divisors
+    both, off = exchange + exchange.T, errors + errors.T
+    known = sparse().csr_array((both[:n, :n] > 0) | (off[:n, :n] > 0))  # also where nothing is seen from some points
+    rows = np.repeat(np.arange(n), np.diff(known.indptr))
+    matrix, estimates = (
+        sparse().csr_array((a[rows, known.indices] / patches.divisors[rows], known.indices, known.indptr), (n, n))
+        for a in (both, off)
+    )
+    sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
+    allowed = np.maximum(_CLOSED, off[:n].sum(axis=1) / patches.divisors)
+    sky[(sky < allowed) | patches.empty] = 0.0
+    numbers = numbers_of(patches)
+    warn_of_backs(float(dark @ patches.areas / max(patches.areas.sum(), 1e-300)), "of what patches see is")
+    return FormFactors(matrix, estimates, sky, patches.areas, np.zeros(n, np.int64), dark, **numbers)
+
+
+def exact_seconds(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> float:
+    """The time that :func:`exact_form_factors` is going to take, from that of some pairs. Raises as it does."""
+    pairs, n = _pairs(patches, tolerance), len(patches)
+    total = len(pairs.sides.patch)
+    exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
+    count = min(max(2 * _PILOT // (_RUN * total), 1), max(total // _RUN, 1))
+    some = [np.arange(k, min(k + _RUN, total)) for k in np.linspace(0, total - 1, 2 * count + 1).astype(int)[1::2]]
+    pairs.integrate(some[0][:1], exchange, errors)  # loads or compiles
+    began = time.perf_counter()
+    for rows in some:
+        pairs.integrate(rows, exchange, errors)
+    spent, share = time.perf_counter() - began, sum(_RUN * (total - rows[0]) for rows in some) / (total**2 / 2)
+    return float(spent / min(share, 1.0) / threads())
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """All pairs of the sides of patches, in radii of the scene."""
+
+    loops: Any
+    sides: Any
+    occluders: Occluders
+    faces: Index
+    radius: float
+    tolerance: float
+
+    def integrate(self, rows: Index, exchange: Array, errors: Array) -> None:
+        """Add what sides in a range exchange with later ones. Raises :class:`RadiosityError` for a pair that cannot be
+        computed."""
+        limits = int(rows[0]), int(rows[-1]) + 1
+        a, b = self.loops.exchange_rows(self.sides, self.occluders, *limits, self.tolerance, exchange, errors)
+        if a >= 0:
+            raise RadiosityError(
+                f"faces {self.faces[a]} and {self.faces[b]} see each other between too many others: cast lines "
+                "(ABuffer, or without --exact)"
+            )
+
+
+def _pairs(patches: Patches, tolerance: float) -> _Pairs:
+    """Check what can be checked beforehand. Raises :class:`RadiosityError`."""
     if not 0 < tolerance < 1:
         raise RadiosityError(f"the tolerance of form factors is above 0 and below 1, not {tolerance!r}")
     n, loops, rules = len(patches), compiled("factors.exchange"), compiled("factors.distant")
@@ -54,53 +126,26 @@ def exact_form_factors(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> 
             f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
             "or without --exact)"
         )
-    centre, radius = patches.sphere
-    corners = (patches.vertices[patches.faces] - centre) / radius
-    planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
     if len(patches.coincident.pairs):
         upper, lower = patches.coincident.pairs[0]
         raise RadiosityError(
             f"faces {upper} and {lower} lie on each other, which exact form factors cannot tell apart: remove one, or "
             "cast lines (ABuffer, or without --exact)"
         )
+    centre, radius = patches.sphere
+    corners = (patches.vertices[patches.faces] - centre) / radius
+    planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
     faces, patch, turned = _sides(patches, _backs_are_seen(patches))
     shapes, of = corners[faces], planes[faces]
     shapes[turned], of[turned] = shapes[turned, ::-1], -of[turned]
     distances = rules.least_distances(max(_OF_TOLERANCE * tolerance, _LEAST))
     sides = loops.Sides(shapes, of, patch, _balls(shapes), rules.nodes_of(shapes), distances)
-    blockers = occluders(corners, planes)
-    exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
-
-    def task(rows: Index) -> tuple[int, int]:
-        pair: tuple[int, int] = loops.exchange_rows(
-            sides, blockers, int(rows[0]), int(rows[-1]) + 1, tolerance, exchange, errors
-        )
-        return pair
-
-    for a, b in in_order(partial(task, rows) for rows in _tasks(patch[patch < n])):
-        if a >= 0:
-            raise RadiosityError(
-                f"faces {faces[a]} and {faces[b]} see each other between too many others: cast lines (ABuffer, or "
-                "without --exact)"
-            )
-    exchange *= radius**2
-    errors *= radius**2
-    dark = exchange[:n, n] / patches.divisors
-    both, off = exchange + exchange.T, errors + errors.T
-    matrix = sparse().csr_array(both[:n, :n] / patches.divisors[:, None])
-    estimates = matrix.copy()
-    rows = np.repeat(np.arange(n), np.diff(matrix.indptr))
-    estimates.data = off[rows, matrix.indices] / patches.divisors[rows]
-    sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
-    allowed = np.maximum(_CLOSED, off[:n].sum(axis=1) / patches.divisors)
-    sky[(sky < allowed) | patches.empty] = 0.0
-    numbers = numbers_of(patches)
-    return FormFactors(matrix, estimates, sky, patches.areas, np.zeros(n, np.int64), dark, **numbers)
+    return _Pairs(loops, sides, occluders(corners, planes), faces, radius, tolerance)
 
 
 def _backs_are_seen(patches: Patches) -> bool:
     """Whether any back without a patch is seen, by a cast of few lines."""
-    return bool(ABuffer(patches, OwenSobol(4, seed=0)).cast(_LOOK).dark.any())
+    return bool(ABuffer(patches, OwenSobol(4, seed=0)).cast(_LOOK, warn=False).dark.any())
 
 
 def _sides(patches: Patches, with_backs: bool) -> tuple[Index, Index, NDArray[np.bool_]]:
@@ -158,8 +203,9 @@ def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
     return hidden
 
 
-def _tasks(patch: Index) -> list[Index]:
-    """Ranges of sides, each of whole patches and about equal work; more ranges than threads."""
+def _tasks(patch: Index, n: int) -> list[Index]:
+    """Ranges of the sides of ``n`` patches, each of whole patches and about equal work; more ranges than threads."""
+    patch = patch[patch < n]
     starts = np.flatnonzero(np.diff(patch, prepend=-1))
     remaining = len(patch) - starts
     number = (1 - (remaining / len(patch)) ** 2) * 16 * threads()

@@ -75,10 +75,10 @@ class LineEngine(ABC):
     def expected(self, count: int) -> Array:
         """(n,) expected number of segments of each patch, if it is flat, for ``count`` points."""
 
-    def cast(self, count: int, first: int = 0, batches: int = 16) -> Segments:
+    def cast(self, count: int, first: int = 0, batches: int = 16, warn: bool = True) -> Segments:
         """The segments of ``count`` points from ``first`` on, in at most ``batches`` batches.
 
-        Warns of patches that no line has met, and if many lines meet backs of faces.
+        Warns, if that is not switched off, of patches that no line has met, and if many lines meet backs of faces.
 
         Raises :class:`RadiosityError` for less than one point, and if the segments do not fit into memory.
         """
@@ -94,7 +94,8 @@ class LineEngine(ABC):
         batches = min(batches, len(chunks))
         number = np.arange(len(chunks)) * batches // len(chunks)
         segments = Segments(self.patches, chunks, number, self.expected(count))
-        warn_of_faults(segments)
+        if warn:
+            warn_of_faults(segments)
         return segments
 
     def _points_of(self, count: int) -> PointSet:
