@@ -1,4 +1,4 @@
-"""Pages of docs/howto: a reader with an empty folder saves their files, runs their commands, and sees what they show."""
+"""Pages of docs/howto: a reader with an empty folder saves their files, runs their commands, sees what they show."""
 
 from __future__ import annotations
 
