@@ -486,7 +486,7 @@ def solve_heat(
     surroundings: temperature in kelvin of the black sky around an open mesh, 0 if not given; loads may have it, too.
     factors: a file of the form factors of all patches; without it they are computed, by ``bundles``, ``seconds`` or
         ``error`` as by :func:`compute_form_factors`, and repaired: heat is neither lost nor gained.
-    save: ``.csv``, ``.npz``, or ``.vtu`` of one case.
+    save: ``.csv``, ``.npz``, or of one case ``.vtu`` and ``.png``.
 
     Raises :class:`etendue.radiosity.RadiosityError` for conditions that cannot be, see
     :func:`etendue.radiosity.heat_balance`; the other errors are those of :func:`compute_form_factors`.

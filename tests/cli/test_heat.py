@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import etendue
 from etendue.cli.main import main
@@ -216,6 +217,18 @@ def test_a_group_without_area(capsys, heads, cells):
     assert run("line.obj -c c.csv --bundles 16") == 0
     found = {row["group"]: row["temperature"] for row in rows("heat.csv")}
     assert found == {"floor": "300", "roof": "300", "walls": "300", "line": ""}
+
+
+def test_a_picture_and_no_heat_of_rounding(capsys):
+    """The walls lose exactly 0, and the picture shows many temperatures, and white around the room."""
+    assert run("room.obj -c c.csv --bundles 64 --max-area 0.1 -o heat.png -o heat.csv") == 0
+    assert {row["group"]: row["heat"] for row in rows("heat.csv")}["walls"] == "0"
+    pixels = np.asarray(Image.open("heat.png"))[:, :600].reshape(-1, 3)
+    assert (255, 255, 255) in set(map(tuple, pixels.tolist()))
+    assert len(np.unique(pixels, axis=0)) > 10
+    Path("hours.csv").write_text("hour,floor:temperature\n9,300\n10,310\n")
+    assert run("room.obj -c c.csv --loads hours.csv -o heat.png") == 2
+    assert "room for one case" in capsys.readouterr().err
 
 
 def test_files_that_cannot_be(capsys):

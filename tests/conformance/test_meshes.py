@@ -48,6 +48,17 @@ def test_faces_that_are_wrong(tmp_path, capsys):
     assert found["edges"]["verdict"] == "warn" and found["edges"]["figure"] == 4
 
 
+def test_a_turned_face_within_open_ground(tmp_path, capsys):
+    """It is named; ground that faces down as a whole may be meant."""
+    corners = "".join(f"v {x} {y} 0\n" for y in (0, 1, 2) for x in (0, 1, 2))
+    up = ["1 2 5 4", "2 3 6 5", "4 5 8 7", "5 6 9 8"]
+    for faces, verdict in ((up, "pass"), ([*up[:2], reversed_(up[2]), up[3]], "warn"), (map(reversed_, up), "pass")):
+        (tmp_path / "a.obj").write_text(corners + "".join(f"f {face}\n" for face in faces))
+        status, found = findings(capsys, tmp_path / "a.obj")
+        assert status == 0 and found["orientation"]["verdict"] == verdict
+        assert verdict == "pass" or "1 are not: 2 (counted" in found["orientation"]["meaning"]
+
+
 def test_a_mesh_that_is_no_scene(tmp_path, capsys):
     meshio = pytest.importorskip("meshio")
     cube = [[int(k) - 1 for k in face.split()] for face in CUBE]

@@ -131,7 +131,9 @@ def short(function):
     return call
 
 
-EXAMPLES = [(page, n) for page in PAGES for n in range(len(_EXAMPLE.findall(page.read_text("utf-8"))))]
+#: Those in docs/howto are run in order, by test_howto.py.
+SINGLE = [page for page in PAGES if page.parent.name != "howto"]
+EXAMPLES = [(page, n) for page in SINGLE for n in range(len(_EXAMPLE.findall(page.read_text("utf-8"))))]
 
 
 @pytest.mark.usefixtures("mitsuba_files")
@@ -152,7 +154,7 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     exec(compile(code, relative(page), "exec"), {"__name__": "example"})
 
 
-COMMANDS = sorted({command for page in PAGES for command in _COMMAND.findall(page.read_text("utf-8"))})
+COMMANDS = sorted({command for page in SINGLE for command in _COMMAND.findall(page.read_text("utf-8"))})
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ def check_mesh(path: Path, seed: int = 0) -> list[Finding]:
         f"{len(found.overlaps)} pairs of faces lie on each other and face the same way{clashes}: cut one",
     )
     is_whole = _check_edges(findings, found)
-    _check_orientation(findings, patches, is_whole, seed)
+    _check_orientation(findings, patches, is_whole, len(found.flipped_edges) > 0, seed)
     return findings.rows
 
 
@@ -52,11 +52,12 @@ def _check_edges(findings: Findings, found: MeshDiagnosis) -> bool:
     return True
 
 
-def _check_orientation(findings: Findings, patches: Patches, is_whole: bool, seed: int) -> None:
+def _check_orientation(findings: Findings, patches: Patches, is_whole: bool, is_mixed: bool, seed: int) -> None:
     both = {side: orientation(patches, inward=side == "inward", seed=seed) for side in ("outward", "inward")}
     side = min(both, key=lambda side: len(both[side].wrong))
-    # What is wrong both ways is an open sheet that faces down, which may be meant.
-    wrong = np.setdiff1d(both[side].wrong, np.intersect1d(both["outward"].wrong, both["inward"].wrong))
+    # What is wrong both ways is an open sheet that faces down, which may be meant unless its faces differ.
+    down = np.intersect1d(both["outward"].wrong, both["inward"].wrong)
+    wrong = both[side].wrong if is_mixed else np.setdiff1d(both[side].wrong, down)
     undecided = both[side].undecided
     bad = (
         f"most fronts are turned {side}, but {len(wrong)} are not: {named_faces(wrong)} (counted from 0); form-factors "

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         listed as listed,
     )
     from .heat import HeatResult as HeatResult, heat_files as heat_files
+    from .patchpictures import patch_picture as patch_picture
     from .pictures import (
         Image as Image,
         Picture as Picture,

@@ -13,15 +13,20 @@ from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import Array, OptionError, checked_path
+from etendue.display import write_png
 from etendue.formats import save_arrays, write_mesh
 from etendue.radiosity import FormFactors, HeatBalance
 from etendue.surfaces import face_sides
 
 from .files import PathLike, check_files, listed
+from .patchpictures import patch_picture
 
-_SUFFIXES = (".csv", ".npz", ".vtu")
+_SUFFIXES = (".csv", ".npz", ".vtu", ".png")
+_OF_ONE_CASE = (".vtu", ".png")
 #: Columns of a group.
 _COLUMNS = ("area", "temperature", "lowest", "highest", "heat", "flux")
+#: Heat below this share of the largest is that of rounding, and written as 0.
+_ROUNDING = 1e-9
 #: Share of the surroundings in what patches see, above which a mesh is open.
 _OPEN = 1e-9
 
@@ -60,8 +65,9 @@ class HeatResult:
 
     def save(self, path: PathLike) -> None:
         """Write ``.csv``, a row for each group, or with several cases for each case; ``.npz``, arrays by patch; or, of
-        one case, ``.vtu``, faces with temperatures for ParaView. Raises :class:`OptionError` for another suffix,
-        :class:`OutputError` if the file cannot be written."""
+        one case, ``.vtu``, faces with temperatures for ParaView, or ``.png``, temperatures in false colours
+        (:func:`patch_picture`). Raises :class:`OptionError` for another suffix, :class:`OutputError` if the file cannot
+        be written."""
         path = check_heat_file(checked_path(path), len(self.cases))
         if path.suffix.lower() == ".csv":
             with film.replacing(path) as part, part.open("w", encoding="utf-8", newline="") as file:
@@ -72,6 +78,8 @@ class HeatResult:
             patches = self.balance.patches
             place = {"group": self.group, "areas": patches.areas, "centres": patches.centres, "sky": self._sky}
             save_arrays(path, self._of_patches() | of_groups | names | place, {})
+        elif path.suffix.lower() == ".png":
+            write_png(path, patch_picture(self.balance.patches, self.balance.temperature[:, 0], "K"))
         else:
             patches = self.balance.patches
             corners, patch = face_sides(patches)
@@ -94,6 +102,8 @@ class HeatResult:
 
     def _rows(self) -> list[list[Any]]:
         table = self.table()
+        for name in ("heat", "flux"):
+            table[name][np.abs(table[name]) < _ROUNDING * np.nanmax(np.abs(table[name]), initial=0.0)] = 0.0
         if len(self.cases) == 1:
             rows = [[name, *(_text(table[c][g, 0]) for c in _COLUMNS)] for g, name in enumerate(self.names)]
             return [["group", *_COLUMNS], *rows]
@@ -119,7 +129,7 @@ def check_heat_file(path: PathLike, cases: int = 1) -> Path:
     checked = Path(path)
     if checked.suffix.lower() not in _SUFFIXES:
         raise OptionError(f"heat is written as {', '.join(_SUFFIXES)}, not as '{checked.name}'; change the name")
-    if checked.suffix.lower() == ".vtu" and cases > 1:
+    if checked.suffix.lower() in _OF_ONE_CASE and cases > 1:
         raise OptionError(f"'{checked.name}' has room for one case; write .csv or .npz, or leave out the loads")
     return checked
 
