@@ -85,3 +85,12 @@ def test_the_build_is_strict(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-4000:]
     assert (tmp_path / "searchindex.js").stat().st_size > 100_000
+
+
+def test_pages_for_screen_readers(conf):
+    table = '<th class="head"><p></p></th><th class="head"><p>lines</p></th>'
+    assert conf.accessible(table) == '<td class="head"></td><th class="head"><p>lines</p></th>'
+    assert conf.accessible('<pre id="a">x</pre><pre>y</pre>').count('tabindex="0"') == 2
+    signature = '<dl>\n<dd><em class="sig-param">scene</em>,</dd>\n</dl>\n<dl>\n<dt>a</dt>\n<dd>b</dd>\n</dl>'
+    found = conf.accessible(signature)
+    assert "<dl>\n<dt>a</dt>\n<dd>b</dd>\n</dl>" in found and found.count("<dd>") == 1 and "scene</em>,</div>" in found
