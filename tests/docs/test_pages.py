@@ -141,7 +141,9 @@ EXAMPLES = [(page, n) for page in SINGLE for n in range(len(_EXAMPLE.findall(pag
 def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     monkeypatch.setattr(etendue, "render", short(etendue.render))
     cast = ABuffer.cast
-    monkeypatch.setattr(ABuffer, "cast", lambda lines, count, *rest, **named: cast(lines, min(count, 64), *rest, **named))
+    monkeypatch.setattr(
+        ABuffer, "cast", lambda lines, count, *rest, **named: cast(lines, min(count, 64), *rest, **named)
+    )
     monkeypatch.setattr(mi, "set_variant", lambda name: None)  # that of the session stays
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.xml").write_text(SCENE)
