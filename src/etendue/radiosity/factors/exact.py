@@ -30,6 +30,8 @@ _BYTES = 64
 _LOOK = 64
 #: Pairs by which time is estimated, in runs of so many sides: some tenths of a second.
 _PILOT, _RUN = 200_000, 8
+#: Ranges of pairs that threads take.
+_TASKS = 128
 #: Error of form factors between distant patches that see all of each other: a share of the tolerance, at least this.
 _OF_TOLERANCE, _LEAST = 0.01, 1e-8
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
@@ -204,10 +206,11 @@ def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
 
 
 def _tasks(patch: Index, n: int) -> list[Index]:
-    """Ranges of the sides of ``n`` patches, each of whole patches and about equal work; more ranges than threads."""
+    """Ranges of the sides of ``n`` patches, each of whole patches and about equal work: the same for any number of
+    threads, and more."""
     patch = patch[patch < n]
     starts = np.flatnonzero(np.diff(patch, prepend=-1))
     remaining = len(patch) - starts
-    number = (1 - (remaining / len(patch)) ** 2) * 16 * threads()
+    number = (1 - (remaining / len(patch)) ** 2) * _TASKS
     first = starts[np.flatnonzero(np.diff(number.astype(np.int64), prepend=-1))]
     return np.split(np.arange(len(patch)), first[1:])

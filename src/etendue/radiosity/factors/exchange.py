@@ -23,8 +23,8 @@ from .shafts import covers, faces, in_front, in_hull, in_shaft, is_behind, may_b
 
 #: Sides whose occluders are looked for together.
 _BLOCK = 8
-#: Of the tolerance of a row, a pair may have this times the root of its form factor without occluders: the sum of
-#: squares of a row is then below the square of the tolerance: few pairs are hidden in part, by more than one face.
+#: Of the tolerance of a row, a pair may have this times the root of its form factor without occluders: as few pairs are
+#: hidden in part, the sum of squares of a row is then below the square of the tolerance.
 _SHARE = 2.0
 #: Points of a pair that is hidden in part, 32 bits of each coordinate; how many are taken; and root mean square errors
 #: in form factors without occluders: expected, those if nothing is seen, and those if something is, plus so much times
