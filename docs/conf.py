@@ -197,6 +197,7 @@ _ACCESSIBLE = (
     (re.compile(r'<aside class="sidebar-drawer">'), '<aside class="sidebar-drawer" aria-label="Pages">'),
     (re.compile(r'<aside class="toc-drawer'), '<aside aria-label="On this page" class="toc-drawer'),
     (re.compile(r'<th class="head"><p></p></th>'), '<td class="head"></td>'),
+    (re.compile(r'(?s)(<title>Search - .*?<article role="main"[^>]*>)(?!\s*<h1>)'), r"\1<h1>Search</h1>"),
     (re.compile(r"<dl>\n((?:<dd>.*</dd>\n)+)</dl>"), r"<div>\n\1</div>"),
 )
 

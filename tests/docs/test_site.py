@@ -94,3 +94,5 @@ def test_pages_for_screen_readers(conf):
     signature = '<dl>\n<dd><em class="sig-param">scene</em>,</dd>\n</dl>\n<dl>\n<dt>a</dt>\n<dd>b</dd>\n</dl>'
     found = conf.accessible(signature)
     assert "<dl>\n<dt>a</dt>\n<dd>b</dd>\n</dl>" in found and found.count("<dd>") == 1 and "scene</em>,</div>" in found
+    found = '<title>Search - x</title><article role="main" id="a">\n<noscript>'
+    assert '<article role="main" id="a"><h1>Search</h1>' in conf.accessible(found)
