@@ -57,6 +57,12 @@ def _threads() -> int:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Errors of commands that tests run are not the user's."""
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session", autouse=True)
 def variant() -> str:
     """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""
     name = use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))

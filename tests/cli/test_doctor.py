@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from etendue.cli import faults
 from etendue.cli.inspection.doctor import Check, _kernel, _package, diagnose, render
 from etendue.cli.main import main
 from etendue.core import llvm
@@ -78,3 +80,69 @@ def test_a_report_has_no_private_folders(capsys, monkeypatch, tmp_path):
     assert "mitsuba: ok" in told and "kernel cache: " in told and "numpy " in told
     for folder in (sys.prefix, str(Path.home()), str(tmp_path)):
         assert folder not in told or len(folder) < 2, folder
+
+
+@pytest.fixture
+def at_home(tmp_path, monkeypatch):
+    """A user with a home folder and a folder of work in it."""
+    work = tmp_path / "home" / "jane" / "work"
+    work.mkdir(parents=True)
+    for name, value in (("HOME", work.parent), ("USERPROFILE", work.parent), ("LOGNAME", "doe"), ("USER", "doe")):
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.chdir(work)
+    return work
+
+
+def test_the_last_error_is_kept_without_private_names(at_home, tmp_path, capsys):
+    assert faults.last_fault() == "last error: none"
+    files = [at_home / "a.xml", at_home.parent / "b.xml", tmp_path / "Big Client" / "c.xml", "doe.xml"]
+    for file in files:
+        assert main(["render", str(file)]) == 3
+        assert str(file) in capsys.readouterr().err  # the user is told all of it
+        told = faults.last_fault()
+        assert "exit status 3" in told and Path(file).name.replace("doe", "USER") in told
+        assert str(tmp_path) not in told and not {"jane", "doe", "Big"} & set(re.findall(r"[A-Za-z0-9]+", told))
+    assert main(["render", "a.xml", "--nonsense"]) == 2
+    assert (
+        "  command: etendue render a.xml --nonsense\n  message: there is no option '--nonsense'" in faults.last_fault()
+    )
+    assert main(["doctor", "--nonsense"]) == 2
+    assert "a.xml" in faults.last_fault()
+
+
+def test_the_traceback_of_a_debugged_command_is_kept(at_home, capsys):
+    file = at_home.parent / ".cache" / "etendue" / "last-error.traceback"
+    assert main(["render", "none.xml", "--debug"]) == 3
+    text = file.read_text()
+    assert text.startswith("Traceback") and "ETENDUE/cli/main.py" in text and "SceneError" in text
+    assert str(Path(faults.__file__).parents[1]) not in text
+    assert faults.impersonal(faults.last_fault()).endswith("\n  traceback: ~/.cache/etendue/last-error.traceback")
+    assert main(["render", "none.xml"]) == 3
+    assert not file.exists() and "traceback" not in faults.last_fault()
+
+
+def test_an_error_is_told_where_nothing_can_be_kept(at_home, monkeypatch, capsys):
+    (at_home / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(at_home / "file"))
+    assert main(["render", "none.xml"]) == 3
+    assert "none.xml" in capsys.readouterr().err
+    (at_home / "etendue").mkdir()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(at_home))
+    (at_home / "etendue" / "last-error.json").write_text("{")
+    assert "HERE/etendue/last-error.json cannot be read" in faults.impersonal(faults.last_fault())
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("no '/srv/Big Client/x.xml' here", "no '.../x.xml' here"),
+        ("no file /srv/big/x.xml: 1/2/3 of it", "no file .../x.xml: 1/2/3 of it"),
+        ("C:\\Users\\al\\x.xml", ".../x.xml"),
+        ("LLVM 19 at /usr/lib/libLLVM.so.19", "LLVM 19 at /usr/lib/libLLVM.so.19"),
+        ("see https://host.org/a/b and a/b/c.xml", "see https://host.org/a/b and a/b/c.xml"),
+        ("Doe's doe_2.exr, not doer", "USER's USER_2.exr, not doer"),
+    ],
+)
+def test_texts_without_private_names(text, shown, at_home):
+    assert faults.impersonal(text) == shown

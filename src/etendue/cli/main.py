@@ -33,6 +33,7 @@ from .console import (
     warning_console,
 )
 from .developing import develop
+from .faults import remember_fault
 from .film_picture import film_picture
 from .heating import heat
 from .inspection.viewing import view
@@ -94,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return (interrupts.exit_code or _LEFT) if status == _LEFT else status
     except (Exception, KeyboardInterrupt) as error:
         # After a signal, any error is its consequence: compiled code turns KeyboardInterrupt into others.
-        return interrupts.exit_code or _reported(error, debug)
+        return interrupts.exit_code or _reported(error, debug, words)
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level)
@@ -112,8 +113,8 @@ def command() -> None:
     os._exit(status)
 
 
-def _reported(error: BaseException, debug: bool) -> int:
-    """Print an error in one line; returns the exit status."""
+def _reported(error: BaseException, debug: bool, words: Sequence[str]) -> int:
+    """Print an error of the command ``words`` in one line and keep it for `doctor`; returns the exit status."""
     if isinstance(error, (typer.Abort, KeyboardInterrupt)):
         return _LEFT
     if isinstance(error, BrokenPipeError):
@@ -123,11 +124,15 @@ def _reported(error: BaseException, debug: bool) -> int:
     if isinstance(error, (EtendueError, _UsageError)):
         text = error.format_message() if hasattr(error, "format_message") else str(error)
         # Without arguments typer raises with the help text, already printed, or without a message.
-        if text.strip():
-            print_error(text)
-        return int(getattr(error, "exit_code", 1))
-    print_error(f"{describe(error)} (unexpected; --debug shows where, please report it)")
-    return 70
+        status = int(getattr(error, "exit_code", 1))
+        if not text.strip():
+            return status
+    else:
+        text, status = f"{describe(error)} (unexpected; --debug shows where, please report it)", 70
+    print_error(text)
+    if "doctor" not in words:
+        remember_fault(words, text, status, error if debug else None)
+    return status
 
 
 def _show_version(wanted: bool) -> None:

@@ -24,6 +24,7 @@ from rich.table import Table
 from etendue.core import EtendueError, backend, llvm
 
 from ..console import say
+from ..faults import impersonal, last_fault
 
 Status = Literal["ok", "warn", "fail"]
 
@@ -99,8 +100,8 @@ def run_doctor(console: Console, as_report: bool = False) -> int:
 
 
 def report(checks: list[Check]) -> str:
-    """What a report of a fault should contain: checks, packages and the cache of kernels, in one text without names of
-    the user's folders."""
+    """What a report of a fault should contain: checks, packages, the cache of kernels and the last error of a command,
+    in one text without the names of the user and of their folders."""
     lines = [f"{check.name}: {check.status}, {check.finding}" for check in checks]
     lines += [f"processor: {os.cpu_count()} threads, {platform.platform()}"]
     named = sorted({re.split(r"[ <>=;\[]", need)[0] for need in importlib.metadata.requires("etendue") or ()})
@@ -111,12 +112,7 @@ def report(checks: list[Check]) -> str:
     kernels = list((Path.home() / ".drjit").glob("*.cache")) + list((Path.home() / ".drjit").glob("*.bin"))
     size = sum(path.stat().st_size for path in kernels)
     lines += [f"packages: {', '.join(found)}", f"kernel cache: {len(kernels)} files, {size / 1e6:.1f} MB"]
-    text = "\n".join(lines)
-    folders = {sys.prefix: "ENVIRONMENT", sys.base_prefix: "PYTHON", os.getcwd(): "HERE", str(Path.home()): "~"}
-    for folder in sorted(folders, key=len, reverse=True):
-        if len(folder) > 1:
-            text = text.replace(folder, folders[folder])
-    return text
+    return impersonal("\n".join([*lines, last_fault()]))
 
 
 def _python() -> Check:
