@@ -3,50 +3,15 @@
 from __future__ import annotations
 
 import copy
-import json
 
 import numpy as np
 import pytest
+from support.buildings import CUBE, WINDOW, as_idf, energyplus, written
 
-from etendue.radiosity import PatchError, PatchSource, diagnose, exact_form_factors, read_patches
+from etendue.radiosity import PatchError, PatchSource, diagnose, exact_form_factors, orientation, read_patches
+from etendue.surfaces import zone_names
 
-#: A cube from 0 to 1, its faces counterclockwise from outside; and a window in the wall x = 1.
-CUBE = {
-    "Floor": [(0, 1, 0), (1, 1, 0), (1, 0, 0), (0, 0, 0)],
-    "Roof": [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
-    "West": [(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)],
-    "East": [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
-    "South": [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)],
-    "North": [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0)],
-}
-WINDOW = [(1, 0.25, 0.25), (1, 0.75, 0.25), (1, 0.75, 0.75), (1, 0.25, 0.75)]
 PLATES, BESIDE = 0.19982490, 0.20004378
-
-
-def energyplus(step=1, shift=0.0, **rules):
-    def rows(corners):
-        return [{f"vertex_{a}_coordinate": v for a, v in zip("xyz", p, strict=True)} for p in corners[::step]]
-
-    direction = "Counterclockwise" if step == 1 else "Clockwise"
-    return {
-        "Zone": {"Z1": {"x_origin": 0, "y_origin": 0, "z_origin": 0}, "Z2": {"x_origin": 1}},
-        "BuildingSurface:Detailed": {
-            f"{zone}:{name}": {"zone_name": zone, "vertices": rows([(x + dx * shift, y, z) for x, y, z in corners])}
-            for dx, zone in enumerate(("Z1", "Z2"))
-            for name, corners in CUBE.items()
-        },
-        "FenestrationSurface:Detailed": {
-            "Z2:Win": {"building_surface_name": "z2:EAST", "number_of_vertices": 4}
-            | {
-                f"vertex_{k + 1}_{a}_coordinate": v
-                for k, p in enumerate(WINDOW[::step])
-                for a, v in zip("xyz", (p[0] + shift, *p[1:]), strict=True)
-            }
-        },
-        "GlobalGeometryRules": {
-            "G": {"vertex_entry_direction": direction, "coordinate_system": "World"} | rules,
-        },
-    }
 
 
 def city(kind="Solid"):
@@ -79,12 +44,6 @@ def honeybee():
     faces = [face(name, corners) for name, corners in CUBE.items()]
     faces[3]["apertures"] = [face("Window", WINDOW)]
     return {"type": "Model", "units": "Feet", "rooms": [{"identifier": "R1", "faces": faces}], "orphaned_shades": [{}]}
-
-
-def written(folder, name, content):
-    path = folder / name
-    path.write_text(content if isinstance(content, str) else json.dumps(content))
-    return path
 
 
 def check_room(patches, window=True):
@@ -141,6 +100,91 @@ def test_relative_coordinates_of_energyplus(tmp_path):
     np.testing.assert_allclose(patches.normals[north], [-1, 0, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize("version", [(8, 9), (9, 4), (9, 6)])
+@pytest.mark.parametrize("system", ["World", "Relative"])
+def test_idf_is_the_same_model(tmp_path, version, system):
+    data = energyplus(shift=float(system == "World"), coordinate_system=system)
+    json_, idf = (written(tmp_path, name, x) for name, x in (("a.epJSON", data), ("a.idf", as_idf(data, version))))
+    expected, found = read_patches(json_), read_patches(idf)
+    assert list(found.names) == list(expected.names)
+    np.testing.assert_array_equal(found.zones, expected.zones)
+    np.testing.assert_allclose(found.centres, expected.centres)
+    np.testing.assert_allclose(found.normals, expected.normals)
+
+
+def test_zones_are_apart(tmp_path, variant):
+    """The walls between two rooms lie on each other; neither is a fault, and each room is a whole one."""
+    path = written(tmp_path, "a.epJSON", energyplus(shift=1.0))
+    patches = read_patches(path)
+    assert list(patches.zones) == 6 * ["Z1"] + 6 * ["Z2"] + ["Z2"]
+    assert zone_names(patches) == ("Z1", "Z2")
+    found = diagnose(patches)
+    assert found.is_closed and len(found.overlaps) == 0
+    assert len(orientation(patches, inward=True).wrong) == 0 and len(orientation(patches).wrong) == 13
+    room = read_patches(path, zone="z2")
+    check_room(room)
+    assert list(room.zones) == 7 * ["Z2"] and list(room.face) == list(range(6, 13))
+    with pytest.raises(PatchError, match="has no zone 'Z3'; there are: Z1, Z2"):
+        read_patches(path, zone="Z3")
+    with pytest.raises(PatchError, match="it has no zones"):
+        read_patches(written(tmp_path, "a.city.json", city()), zone="Z3")
+
+
+def test_the_other_side_of_a_wall_to_a_zone(tmp_path):
+    """EnergyPlus makes the side in the other zone of a wall, and of a window in it, if the file has only one."""
+    data = energyplus(shift=1.0)
+    walls, (window,) = data["BuildingSurface:Detailed"], data["FenestrationSurface:Detailed"].values()
+    del walls["Z2:West"]
+    walls["Z1:East"] |= {"outside_boundary_condition": "Zone", "outside_boundary_condition_object": "z2"}
+    window["building_surface_name"] = "Z1:East"
+    for k, (_, y, z) in enumerate(WINDOW):
+        window |= {f"vertex_{k + 1}_{a}_coordinate": v for a, v in zip("xyz", (1, y, z), strict=True)}
+    for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
+        patches = read_patches(path)
+        found = zip(patches.zones, patches.areas, patches.normals[:, 0], strict=True)
+        sides = dict(zip(patches.names, found, strict=True))
+        assert sides["Z1:East"] == ("Z1", pytest.approx(0.75), pytest.approx(-1))
+        assert sides["iz-Z1:East"] == ("Z2", pytest.approx(0.75), pytest.approx(1))
+        assert sides["iz-Z2:Win"] == ("Z2", pytest.approx(0.25), pytest.approx(1))
+        assert diagnose(patches).is_closed
+
+
+def test_air_boundaries_join_zones(tmp_path, caplog):
+    data = energyplus(shift=1.0)
+    data["Construction:AirBoundary"] = {"Air": {}}
+    walls = data["BuildingSurface:Detailed"]
+    for name, other in (("Z1:East", "Z2:West"), ("Z2:West", "Z1:EAST")):
+        walls[name] |= {"construction_name": "air", "outside_boundary_condition": "Surface"}
+        walls[name]["outside_boundary_condition_object"] = other
+    for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
+        caplog.clear()
+        patches = read_patches(path)
+        assert zone_names(patches) == ("Enclosure of Z1",) and len(patches) == 11
+        assert "air boundaries join Z1, Z2: EnergyPlus knows their enclosure by a ZoneList" in caplog.text
+        factors = exact_form_factors(patches)
+        np.testing.assert_allclose(factors.row_sums(), 1, atol=1e-4)
+        place = {name: k for k, name in enumerate(patches.names)}
+        assert factors.matrix[place["Z1:West"], place["Z2:East"]] > 0.03  # through the opening
+    data["ZoneList"] = {"Both": {"zones": [{"zone_name": "Z1"}, {"zone_name": "z2"}]}}
+    caplog.clear()
+    for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
+        assert zone_names(read_patches(path)) == ("Both",)
+    assert not caplog.text
+    data["Construction:AirBoundary"]["Air"] = {"radiant_exchange_method": "IRTSurface"}
+    assert zone_names(read_patches(written(tmp_path, "a.epJSON", data))) == ("Z1", "Z2")
+
+
+def test_spaces_are_enclosures(tmp_path):
+    """Surfaces without a space in a zone with spaces are one more space."""
+    data = energyplus(shift=1.0)
+    data["Space"] = {"Lab": {"zone_name": "Z1"}}
+    walls = data["BuildingSurface:Detailed"]
+    for name in list(walls)[:5]:
+        walls[name]["space_name"] = "lab"
+    for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
+        assert list(read_patches(path).zones) == 5 * ["Lab"] + ["Z1-Remainder"] + 7 * ["Z2"]
+
+
 @pytest.mark.parametrize("kind", ["Solid", "MultiSurface"])
 def test_cityjson(tmp_path, kind):
     path = written(tmp_path, "a.city.json", city(kind))
@@ -179,6 +223,25 @@ def test_honeybee(tmp_path, caplog):
     patches.shape_names = tuple(name.replace("Window", "Win") for name in patches.shape_names)
     check_room(patches)
     assert list(read_patches(path, ids="room").names) == ["R1"]
+    assert zone_names(patches) == ("R1",)
+
+
+def test_air_boundaries_of_honeybee(tmp_path, caplog):
+    data = honeybee()
+    del data["rooms"][0]["faces"][3]["apertures"]
+    second = copy.deepcopy(data["rooms"][0])
+    second["identifier"] = "R2"
+    for face in second["faces"]:
+        face["identifier"] = f"2:{face['identifier']}"
+        face["geometry"]["boundary"] = [[x + 10, y, z] for x, y, z in face["geometry"]["boundary"]]
+    data["rooms"].append(second)
+    assert zone_names(read_patches(written(tmp_path, "a.hbjson", data))) == ("R1", "R2")
+    (_, _, _, east, *_), (_, _, west, *_) = (room["faces"] for room in data["rooms"])
+    for face, beyond in ((east, ["2:West", "R2"]), (west, ["East", "R1"])):
+        face["face_type"], face["boundary_condition"] = "AirBoundary", {"boundary_condition_objects": beyond}
+    patches = read_patches(written(tmp_path, "a.hbjson", data))
+    assert zone_names(patches) == ("Enclosure of R1",) and len(patches) == 10
+    assert "air boundaries join the rooms R1, R2 to one enclosure" in caplog.text
 
 
 RAD = """# plates
@@ -226,6 +289,15 @@ VERTICES = energyplus()["BuildingSurface:Detailed"]["Z2:East"]["vertices"]
     ("name", "content", "message"),
     [
         ("a.epjson", "{", "is no JSON"),
+        ("a.idf", "Version, 9.4;", "has no surfaces of EnergyPlus"),
+        ("a.idf", "##include x.imf\nZone, Z1;", "has commands of EPMacro, such as ##include"),
+        ("a.idf", "Zone, Z1;\nZone, Z1;", "two Zone have the name 'Z1'"),
+        ("a.idf", as_idf(energyplus()) + "Floor:Detailed, F, c, Z1, Adiabatic, , , , , 1, 2, 3;", "'F' has 11 fields"),
+        (
+            "a.epjson",
+            changed(energyplus(), "Construction:AirBoundary", to={"": {}}),
+            "an air boundary of 'Z1' leads to no other zone",
+        ),
         ("a.json", {"type": "FeatureCollection"}, "has no surfaces of EnergyPlus, CityJSON or Honeybee"),
         ("a.epjson", changed(energyplus(), "GlobalGeometryRules", to={}), "has no GlobalGeometryRules"),
         ("a.epjson", changed(energyplus(), "Window", to={"w": {}}), "'w' is a Window, given by angles"),

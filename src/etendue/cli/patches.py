@@ -88,6 +88,12 @@ Orient = Annotated[
         "--orient", help="Turn the faces of a mesh: outward (of solids) or inward (into rooms).", metavar="SIDE"
     ),
 ]
+ZoneName = Annotated[
+    str | None,
+    typer.Option(
+        "--zone", help="Of EnergyPlus, or room of Honeybee: only its surfaces, without other zones.", metavar="NAME"
+    ),
+]
 LineSeed = Annotated[
     int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
 ]
@@ -128,12 +134,13 @@ def mesh_arguments(
     orient: str | None,
     more: list[Path] | None,
     obstacles: list[Path] | None,
+    zone: str | None,
     **named: Any,
 ) -> dict[str, Any]:
     """Arguments of ``read_patches``, with further files where a checkpoint finds them again."""
     files = {"more": more, "obstacles": obstacles}
     further = {name: [str(path.absolute()) for path in some] if some else None for name, some in files.items()}
-    return {"ids": ids, "two_sided": two_sided, "orient": orient, **further, **named}
+    return {"ids": ids, "two_sided": two_sided, "orient": orient, "zone": zone, **further, **named}
 
 
 def form_factors(
@@ -217,6 +224,7 @@ def form_factors(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
@@ -259,7 +267,7 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance)),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, zone, reflectance=quantity(reflectance)),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -370,6 +378,7 @@ def radiosity(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
     divide: Annotated[
@@ -488,6 +497,7 @@ def radiosity(
             orient,
             more,
             obstacles,
+            zone,
             reflectance=quantity(reflectance),
             emission=quantity(emission),
             temperature=quantity(temperature),

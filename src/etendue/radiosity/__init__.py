@@ -78,6 +78,7 @@ from .factors.gebhart import gebhart_factors as gebhart_factors
 from .factors.groups import between_groups as between_groups, group_index as group_index, row_names as row_names
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
 from .factors.skyparts import sky_parts as sky_parts
+from .factors.zones import joined_zones as joined_zones
 from .files.colours import coloured_mesh as coloured_mesh
 from .files.conditions import read_conditions as read_conditions
 from .files.factorfiles import (

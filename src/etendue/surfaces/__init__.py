@@ -79,7 +79,11 @@ if TYPE_CHECKING:
         even_lanes as even_lanes,
         pairs_of as pairs_of,
     )
-    from .readers.meshfiles import is_mesh_file as is_mesh_file, read_patches as read_patches
+    from .readers.meshfiles import (
+        is_mesh_file as is_mesh_file,
+        may_have_zones as may_have_zones,
+        read_patches as read_patches,
+    )
     from .readers.sceneparts import has_instances as has_instances, scene_parts as scene_parts
     from .readers.scenepatches import lamps_apart as lamps_apart, scene_patches as scene_patches
     from .readers.tessellation import shape_triangles as shape_triangles
@@ -90,5 +94,6 @@ if TYPE_CHECKING:
         vertex_radiosity as vertex_radiosity,
     )
     from .spheres import bounding_sphere as bounding_sphere, joint_sphere as joint_sphere
+    from .zones import zone_names as zone_names, zone_parts as zone_parts
 else:
     __getattr__, __dir__ = on_use(__name__)

@@ -13,6 +13,7 @@ from etendue.core import Array, copied_to_device, short_repr
 
 from .patches import Patches
 from .rays.raycasting import STEP, RayScene
+from .zones import zone_names, zone_parts
 
 Index = NDArray[np.int64]
 
@@ -47,8 +48,12 @@ def orientation(patches: Patches, inward: bool = False, up: str = "z", seed: int
     A side of a face is outside if a ray from it crosses an even number of faces. Faces that share edges which no other
     face has are a set: they are turned alike, however the file has turned them, and all their rays decide together.
     The fronts of open sheets, such as ground with houses on it, are ``up`` (an axis) as a whole, and rays that meet
-    them decide nothing, unless the sheets stand upright. Faces whose backs are patches have no wrong side.
+    them decide nothing, unless the sheets stand upright. Faces whose backs are patches have no wrong side. Zones are
+    looked at each by itself.
     """
+    if len(zone_names(patches)) > 1:
+        of_zones = [orientation(part.only(~part.empty)[0], inward, up, seed) for _, part, _ in zone_parts(patches)]
+        return Orientation(*(np.unique(np.concatenate(found)) for found in zip(*map(_both, of_zones), strict=True)))
     sided = np.flatnonzero((patches.back < 0) & (patches.front >= 0))
     if len(sided) == 0:
         return Orientation(np.zeros(0, np.int64), np.zeros(0, np.int64))
@@ -64,6 +69,10 @@ def orientation(patches: Patches, inward: bool = False, up: str = "z", seed: int
     wanted = np.where(np.where(ground, risen, votes) > 0, 1, -1)
     wrong = decided[sets] & (turn != wanted[sets])
     return Orientation(*(np.unique(patches.numbers[sided[faces]]) for faces in (wrong, ~decided[sets])))
+
+
+def _both(found: Orientation) -> tuple[Index, Index]:
+    return found.wrong, found.undecided
 
 
 def turned(faces: Index) -> Index:

@@ -70,10 +70,12 @@ class Patches(InNotebooks):
     labels: (n,) the number in ``ids``, or the index of the face; a back has the label of its front.
     shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, to which each patch belongs, -1 for
         none; and the names of the shapes. ``shapes`` is ``None`` if they are not known.
+    zones: (n,) the zone of a building that each patch faces, of files of zones; ``None`` if there are none.
     """
 
     shapes: Index | None = None
     shape_names: tuple[str, ...] = ()
+    zones: NDArray[np.str_] | None = None
 
     def __init__(
         self,
@@ -174,6 +176,8 @@ class Patches(InNotebooks):
         if self.shapes is not None:
             known["shapes"] = self.shapes
             known["shape_names"] = np.array(self.shape_names, dtype=str)
+        if self.zones is not None:
+            known["zones"] = self.zones
         return known
 
     @classmethod
@@ -185,6 +189,7 @@ class Patches(InNotebooks):
         patches._fronts = int(arrays["_fronts"])
         if "shapes" in arrays:
             patches.shapes, patches.shape_names = arrays["shapes"], tuple(map(str, arrays["shape_names"]))
+        patches.zones = arrays.get("zones")
         return patches
 
     def __len__(self) -> int:
@@ -326,20 +331,22 @@ class Patches(InNotebooks):
         return result
 
     def _name_as(self, other: Patches, patches: Index) -> None:
-        """Take labels and shapes from ``patches`` (n,) of another mesh."""
+        """Take labels, shapes and zones from ``patches`` (n,) of another mesh."""
         self.labels = other.labels[patches]
         self.shapes, self.shape_names = None if other.shapes is None else other.shapes[patches], other.shape_names
+        self.zones = None if other.zones is None else other.zones[patches]
 
-    def only(self, chosen: ArrayLike) -> tuple[Patches, Index]:
+    def only(self, chosen: ArrayLike, *, obstacles: bool = False) -> tuple[Patches, Index]:
         """The ``chosen`` (n,) patches with their labels, and the index that each of them has here.
 
-        Empty patches are left out. Both sides of a sheet stay together: only the choice of fronts counts. Raises
-        :class:`PatchError` for none.
+        Empty patches are left out, and obstacles unless they are asked for. Both sides of a sheet stay together: only
+        the choice of fronts counts. Raises :class:`PatchError` for none.
         """
         kept = np.flatnonzero((np.asarray(chosen, dtype=bool) & ~self.empty)[: self._fronts])
-        faces = np.isin(self.front, kept)  # without obstacles
+        faces = np.isin(self.front, kept)
         if not faces.any():
             raise PatchError("no patch is chosen")
+        faces |= obstacles & (self.front < 0)
         used, corners = np.unique(self.faces[faces], return_inverse=True)
         backs = self.other_side[kept]
         numbers = np.concatenate([kept, backs[backs >= 0]])
@@ -352,6 +359,7 @@ class Patches(InNotebooks):
             two_sided=backs >= 0,
             sky=self.sky,
             numbers=self.numbers[faces],
+            obstacles=np.flatnonzero(self.front[faces] < 0),
         )
         result._name_as(self, numbers)
         return result, numbers

@@ -32,11 +32,13 @@ from etendue.radiosity import (
     factor_format,
     form_factors,
     group_index,
+    joined_zones,
     no_factors,
     partial_form_factors,
     save_form_factors,
     sky_parts,
 )
+from etendue.surfaces import Patches, zone_names, zone_parts
 
 from ..files import Writing, about
 from ..results import FormFactorResult
@@ -67,6 +69,8 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     sky_patches: int | None = None
     outputs: tuple[Path, ...] = ()
     tolerance: float | None = None  #: of form factors by integrals
+    #: Computes those of a zone, if there are several; surfaces of different zones see nothing of each other.
+    of_zone: Callable[[Patches], FormFactorResult] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,10 +167,12 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def at_once(
         self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
     ) -> FormFactorResult:
-        """Form factors by integrals instead of lines."""
+        """Form factors by integrals instead of lines, or of several zones."""
         problem = source.open(tell)
         self.check(problem)
         on_patches(problem.patches)
+        if self.of_zone is not None:
+            return self._zones(problem, self.of_zone, tell)
         begin = time.perf_counter()
         factors, correction = self._corrected(
             exact_form_factors(problem.patches, self.tolerance or EXACT_TOLERANCE, tell)
@@ -181,6 +187,30 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             groups=groups,
             stopped_by="exact",
             elapsed=elapsed,
+        )
+
+    def _zones(
+        self, problem: PatchProblem, of_zone: Callable[[Patches], FormFactorResult], tell: Callable[[str], object]
+    ) -> FormFactorResult:
+        """Form factors of each zone in turn, as one matrix."""
+        begin, writing, patches = time.perf_counter(), Writing(), problem.patches
+        names, found, parts = zone_names(patches), {}, []
+        for name, part, ours in zone_parts(patches):
+            tell(f"zone {names.index(name) + 1} of {len(names)}, '{name}'")
+            found[name] = of_zone(part)
+            parts.append((found[name].factors, ours))
+        factors = joined_zones(patches, parts)
+        known = about(problem.source, estimator=self.estimator, zones=list(names), **self._asked, **self._outside)
+        groups = self._write(writing, patches, factors, known)
+        writing.finish()
+        return FormFactorResult(
+            patches=patches,
+            factors=factors,
+            groups=groups,
+            zones=found,
+            bundles=max(made.bundles for made in found.values()),
+            stopped_by=next((made.stopped_by for made in found.values() if made.stopped_by != "exact"), "exact"),
+            elapsed=time.perf_counter() - begin,
         )
 
     def _write(self, writing: Writing, patches: Any, factors: FormFactors, known: dict[str, Any]) -> FormFactors | None:

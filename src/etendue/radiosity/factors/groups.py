@@ -75,6 +75,11 @@ def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> For
     errors.data = np.sqrt(squares) * inverse(areas)[errors.row]
     mean = per_area @ gather @ weigh
     shares: dict[str, Any] = {name: mean @ share for name, share in factors.ends.items()}
+    zone = None
+    if factors.zone is not None:
+        first = np.unique(group, return_index=True)[1]
+        zone = factors.zone[first]
+        zone[group[zone[group] != factors.zone]] = ""  # groups with patches of several zones
     face = None
     if factors.face is not None:
         face = np.full(count, factors.face.max())
@@ -88,5 +93,6 @@ def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> For
         face=face,
         label=np.arange(count),
         name=names,
+        zone=zone,
         **shares,
     )

@@ -1,4 +1,4 @@
-"""Surfaces of buildings and cities in JSON: EnergyPlus (epJSON), CityJSON and Honeybee (HBJSON)."""
+"""Surfaces of buildings and cities: EnergyPlus (epJSON, IDF), CityJSON and Honeybee (HBJSON)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from etendue.core import Array, logger
 
 from ..errors import PatchError
+from .energyplusfiles import BY_ANGLES, DETAILED, energyplus_surfaces, idf_objects, joined
 from .surfacefiles import MeshFile, Surface, corners_of, mesh_of
 
-#: Surfaces of EnergyPlus with corners, and classes of surfaces without, which are given by angles.
-_DETAILED = tuple(f"{kind}:Detailed" for kind in ("BuildingSurface", "Wall", "RoofCeiling", "Floor"))
-_BY_ANGLES = (
-    *("Wall:Exterior", "Wall:Adiabatic", "Wall:Underground", "Wall:Interzone", "Roof", "Ceiling:Adiabatic"),
-    *("Ceiling:Interzone", "Floor:GroundContact", "Floor:Adiabatic", "Floor:Interzone"),
-    *("Window", "Door", "GlazedDoor", "Window:Interzone", "Door:Interzone", "GlazedDoor:Interzone"),
-)
 #: Metres of the units of Honeybee.
 _UNITS = {"Meters": 1.0, "Millimeters": 1e-3, "Centimeters": 1e-2, "Feet": 0.3048, "Inches": 0.0254}
 #: Levels of lists around a surface of CityJSON, by the type of its geometry.
@@ -32,19 +24,28 @@ def read_building(path: Path) -> MeshFile:
     """The surfaces of a file of EnergyPlus, CityJSON or Honeybee, told apart by their content.
 
     Surfaces of rooms face the room; windows and doors are cut from their walls. Groups are the ``zone`` of EnergyPlus,
-    ``type`` and ``object`` of CityJSON, and the ``room`` of Honeybee. Raises :class:`PatchError` for other files.
+    ``type`` and ``object`` of CityJSON, and the ``room`` of Honeybee. Air boundaries are openings, which join zones and
+    rooms. Raises :class:`PatchError` for other files.
     """
-    try:
-        data = json.loads(path.read_text("utf-8-sig"))
-    except ValueError as error:
-        raise PatchError(f"{path} is no JSON: {error}") from None
+    if path.suffix.lower() == ".idf":
+        raw = path.read_bytes()
+        try:
+            text = raw.decode("utf-8-sig")
+        except UnicodeDecodeError:  # of old editors for Windows
+            text = raw.decode("cp1252", errors="replace")
+        data = idf_objects(path, text)
+    else:
+        try:
+            data = json.loads(path.read_text("utf-8-sig"))
+        except ValueError as error:
+            raise PatchError(f"{path} is no JSON: {error}") from None
     kind = data.get("type") if isinstance(data, dict) else None
     if kind == "CityJSON":
         read = _city
     elif kind == "Model" and "rooms" in data:
         read = _honeybee
-    elif isinstance(data, dict) and any(name in data for name in (*_DETAILED, *_BY_ANGLES)):
-        read = _energyplus
+    elif isinstance(data, dict) and any(name in data for name in (*DETAILED, *BY_ANGLES)):
+        read = energyplus_surfaces
     else:
         raise PatchError(f"{path} has no surfaces of EnergyPlus, CityJSON or Honeybee")
     try:
@@ -56,63 +57,6 @@ def read_building(path: Path) -> MeshFile:
     if not surfaces:
         raise PatchError(f"{path} has no surfaces")
     return mesh_of(path, surfaces)
-
-
-def _energyplus(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
-    for kind in _BY_ANGLES:
-        for name in data.get(kind, {}):
-            raise PatchError(f"{path}: '{name}' is a {kind}, given by angles: convert it to a :Detailed surface")
-    rules: dict[str, Any] = next(iter(data.get("GlobalGeometryRules", {}).values()), {})
-    if "vertex_entry_direction" not in rules:
-        raise PatchError(f"{path} has no GlobalGeometryRules with a vertex_entry_direction")
-    # As seen from outside; the room is on the other side.
-    step = {"counterclockwise": -1, "clockwise": 1}.get(rules["vertex_entry_direction"].lower())
-    system = rules.get("coordinate_system", "Relative").lower()
-    is_relative = system == "relative"
-    if step is None or not (is_relative or system in ("world", "worldcoordinatesystem", "absolute")):
-        raise PatchError(f"{path}: GlobalGeometryRules are of an unknown direction or coordinate system: {rules}")
-    # EnergyPlus does not distinguish capitals in names.
-    zones = {name.lower(): zone for name, zone in data.get("Zone", {}).items()}
-    found: dict[str, Surface] = {}
-    for kind in _DETAILED:
-        for name, entry in data.get(kind, {}).items():
-            rows = [[vertex[f"vertex_{axis}_coordinate"] for axis in "xyz"] for vertex in entry["vertices"]]
-            corners = corners_of(rows, f"{path}: '{name}'")
-            zone = entry["zone_name"]
-            if is_relative:
-                if zone.lower() not in zones:
-                    raise PatchError(f"{path}: '{name}' is relative to zone '{zone}', which is not in the file")
-                corners = _placed(corners, zones[zone.lower()])
-            surface = Surface(outline=corners[::step], name=name, where=kind, groups={"zone": zone})
-            found[name.lower()] = surface
-    windows = []
-    for name, entry in data.get("FenestrationSurface:Detailed", {}).items():
-        base = found.get(entry["building_surface_name"].lower())
-        if base is None:
-            raise PatchError(f"{path}: the base '{entry['building_surface_name']}' of '{name}' is not in the file")
-        count = next((k for k in range(4) if f"vertex_{k + 1}_x_coordinate" not in entry), 4)
-        rows = [[entry[f"vertex_{k + 1}_{axis}_coordinate"] for axis in "xyz"] for k in range(count)]
-        corners, zone = corners_of(rows, f"{path}: '{name}'"), base.groups["zone"]
-        corners = _placed(corners, zones[zone.lower()]) if is_relative else corners
-        if float(entry.get("multiplier", 1) or 1) != 1:
-            raise PatchError(f"{path}: '{name}' stands for {entry['multiplier']} windows: give each its corners")
-        window = Surface(
-            outline=corners[::step], name=name, where="FenestrationSurface:Detailed", groups={"zone": zone}
-        )
-        base.inside.append(window)
-        windows.append(window)
-    yield from found.values()
-    yield from windows
-
-
-def _placed(corners: Array, zone: dict[str, Any]) -> Array:
-    """Corners relative to a zone, which is turned clockwise seen from above, and moved."""
-    turn = np.radians(float(zone.get("direction_of_relative_north") or 0.0))
-    x, y, z = corners.T
-    turned = [x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn), z]
-    return np.stack(
-        [v + float(zone.get(f"{axis}_origin") or 0.0) for v, axis in zip(turned, "xyz", strict=True)], axis=1
-    )
 
 
 def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
@@ -174,6 +118,15 @@ def _left_out(entry: dict[str, Any]) -> Counter[str]:
     return +found
 
 
+def _openings(rooms: list[dict[str, Any]]) -> Iterator[tuple[str, str]]:
+    """The rooms on both sides of each air boundary."""
+    for room in rooms:
+        for face in room["faces"]:
+            beyond = (face.get("boundary_condition") or {}).get("boundary_condition_objects")
+            if face.get("face_type") == "AirBoundary" and beyond:
+                yield room["identifier"], beyond[-1]
+
+
 def _honeybee(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     unit = data.get("units", "Meters")
     if unit not in _UNITS:
@@ -184,6 +137,10 @@ def _honeybee(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
     def polygon(entry: dict[str, Any], ring: Any) -> Array:
         return corners_of(ring, f"{path}: '{entry['identifier']}'")[::-1] * _UNITS[unit]  # normals point out of rooms
 
+    openings = joined(_openings(data["rooms"]))
+    for together in sorted({tuple(sorted(rooms)) for rooms in openings.values()}):
+        logger.warning("%s: air boundaries join the rooms %s to one enclosure", path, ", ".join(together))
+
     def surface(entry: dict[str, Any], room: str) -> Surface:
         geometry = entry["geometry"]
         return Surface(
@@ -191,11 +148,13 @@ def _honeybee(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
             holes=[polygon(entry, hole) for hole in geometry.get("holes") or []],
             name=entry["identifier"],
             where=f"room '{room}'",
-            groups={"room": room},
+            groups={"room": f"Enclosure of {min(openings[room])}" if room in openings else room},
         )
 
     for room in data["rooms"]:
         for face in room["faces"]:
+            if face.get("face_type") == "AirBoundary":
+                continue
             wall = surface(face, room["identifier"])
             wall.inside = [
                 surface(entry, room["identifier"])
