@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 
 import numpy as np
 import pytest
@@ -199,6 +200,58 @@ def test_cityjson(tmp_path, kind):
     assert list(read_patches(path, ids="object").names) == ["b1"]
 
 
+def test_a_sequence_of_cityjson(tmp_path):
+    """A header, then a feature in each line, with vertices of its own, as tiles of 3D BAG come."""
+    whole = city()
+    header = {**{k: whole[k] for k in ("type", "version", "transform")}, "CityObjects": {}, "vertices": []}
+    features = []
+    for name in ("b1", "b2"):
+        item = copy.deepcopy(whole["CityObjects"]["b1"])
+        vertices = [[x + 5000 * (name == "b2"), y, z] for x, y, z in whole["vertices"]]
+        features.append({"type": "CityJSONFeature", "id": name, "CityObjects": {name: item}, "vertices": vertices})
+    lines = [json.dumps(line) for line in (header, *features)]
+    patches = read_patches(written(tmp_path, "a.city.jsonl", "\n".join([*lines, ""])))
+    assert list(patches.names[[0, 6]]) == ["b1:0", "b2:0"] and len(patches) == 12
+    np.testing.assert_allclose(patches.centres[6:] - patches.centres[:6], 6 * [[5, 0, 0]], atol=1e-6)
+    with pytest.raises(PatchError, match="is no sequence of CityJSON"):
+        read_patches(written(tmp_path, "a.jsonl", lines[1]))
+    with pytest.raises(PatchError, match="line 3 is no JSON"):
+        read_patches(written(tmp_path, "a.jsonl", "\n".join([*lines[:2], "{"])))
+
+
+def test_templates_of_cityjson(tmp_path):
+    """Half as large, turned by 90 degrees about z, at a vertex."""
+    data = city()
+    house = data["CityObjects"].pop("b1")["geometry"][1]
+    vertices = [[x / 1000 for x in p] for p in data["vertices"]]
+    data["geometry-templates"] = {"templates": [house], "vertices-templates": vertices}
+    matrix = [0, -0.5, 0, 0, 0.5, 0, 0, 0, 0, 0, 0.5, 0, 0, 0, 0, 1]
+    tree = {"type": "GeometryInstance", "template": 0, "boundaries": [1], "transformationMatrix": matrix}
+    data["CityObjects"]["t"] = {"type": "SolitaryVegetationObject", "geometry": [tree]}
+    data["vertices"] = [[0, 0, 0], [3000, 4000, 0]]
+    patches = read_patches(written(tmp_path, "a.city.json", data))
+    np.testing.assert_allclose(patches.areas.sum(), 5.75 / 4, rtol=1e-6)
+    place = np.array([448000.25 + 3, 5411000.5 + 4, 0])
+    np.testing.assert_allclose(patches.bounds, np.add(place, [[-0.5, 0, 0], [0, 0.5, 0.5]]), atol=1e-9)
+    np.testing.assert_allclose(patches.normals[:2], [[0, 0, -1], [0, 0, 1]], atol=1e-9)
+    tree["template"] = 1
+    with pytest.raises(PatchError, match="'t' is of template 1, and there are 1"):
+        read_patches(written(tmp_path, "a.city.json", data))
+
+
+def test_rings_of_cityjson(tmp_path):
+    """Some programs repeat the first vertex of a ring at its end, and vertices that rounding has joined."""
+    data = city()
+    solid = data["CityObjects"]["b1"]["geometry"][1]["boundaries"][0]
+    solid[0][0] = [*solid[0][0], solid[0][0][0]]
+    solid[1][0] = [k for k in solid[1][0] for _ in range(2)]
+    np.testing.assert_allclose(read_patches(written(tmp_path, "a.json", data)).areas, [1, 1, 1, 0.75, 1, 1], rtol=1e-6)
+    data["vertices"] += [[0, 1000, 3000], [0, 2000, 0]]
+    solid[2][0] = [solid[2][0][0], 12, solid[2][0][1], 13]
+    with pytest.raises(PatchError, match="'b1:2' crosses itself"):
+        read_patches(written(tmp_path, "a.json", data))
+
+
 def test_a_building_of_cityjson_is_made_of_its_parts(tmp_path):
     """The footprint of the building has a coarser level than its part."""
     data = city("Solid")
@@ -272,6 +325,17 @@ def test_radiance(tmp_path, caplog):
     assert PatchSource(source=path, for_light=True).open().patches.channels == 3
 
 
+def test_materials_that_are_not_diffuse_or_in_another_file_are_black(tmp_path, caplog):
+    more = "void glass pane 0 0 3 1 1 1\n" + "".join(
+        f"{material} polygon p{k} 0 0 9 {k} 0 0 {k + 1} 0 0 {k} 1 0\n"
+        for k, material in enumerate(("pane", "wood", "wood"), 5)
+    )
+    patches = read_patches(written(tmp_path, "a.rad", RAD + more))
+    np.testing.assert_allclose(patches.reflectance[2:], 0)
+    assert "the material 'pane' is glass; its 1 polygon is taken as black" in caplog.text
+    assert "the material 'wood' is not in the file; its 2 polygons are taken as black" in caplog.text
+
+
 def changed(data, *path, to):
     data = copy.deepcopy(data)
     place = data
@@ -334,15 +398,16 @@ VERTICES = energyplus()["BuildingSurface:Detailed"]["Z2:East"]["vertices"]
         ),
         ("a.city.json", changed(city(), "vertices", to=[[0, 0, 0]]), "surface 0 of 'b1' names vertex"),
         ("a.city.json", changed(city(), "vertices", to="x"), "'vertices' is no list of points"),
+        ("a.city.json", {"type": "CityJSON", "CityObjects": {}, "vertices": []}, "has no surfaces"),
         (
             "a.city.json",
-            changed(city(), *SOLID, "type", to="GeometryInstance"),
-            "'b1' is a GeometryInstance",
+            changed(city(), *SOLID, "type", to="MultiPoint"),
+            "'b1' is a MultiPoint",
         ),
+        ("a.hbjson", {"type": "Model", "orphaned_faces": [{}]}, "has no rooms, only 1 orphaned faces: make rooms"),
         ("a.hbjson", changed(honeybee(), "units", to="Miles"), "not 'Miles'"),
         ("a.hbjson", changed(honeybee(), "rooms", 0, "faces", 0, to={"identifier": "x"}), "has no 'geometry'"),
         ("a.rad", RAD + "void sphere s 0 0 4 0 0 0 1\n", "line 14: sphere 's' is no polygon"),
-        ("a.rad", RAD + "void glass g 0 0 3 1 1 1\ng polygon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 15: the material 'g'"),
         ("a.rad", RAD + "grey polygon p 0 0 8 0 0 0 1 0 0 0 1\n", "line 14: polygon 'p' has 8 numbers"),
         ("a.rad", RAD + "grey polygon p 0 0 9 0 0 0 1 0 0 0 1\n", "line 14: the primitive is incomplete"),
         ("a.rad", RAD + "grey polgyon p 0 0 9 0 0 0 1 0 0 0 1 0\n", "line 14: polgyon 'p' is no polygon"),

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from etendue.core import Array, logger
 
 from ..errors import PatchError
@@ -35,14 +37,11 @@ def read_building(path: Path) -> MeshFile:
             text = raw.decode("cp1252", errors="replace")
         data = idf_objects(path, text)
     else:
-        try:
-            data = json.loads(path.read_text("utf-8-sig"))
-        except ValueError as error:
-            raise PatchError(f"{path} is no JSON: {error}") from None
+        data = _city_of_lines(path) if path.suffix.lower() == ".jsonl" else _json(path, path.read_text("utf-8-sig"))
     kind = data.get("type") if isinstance(data, dict) else None
     if kind == "CityJSON":
         read = _city
-    elif kind == "Model" and "rooms" in data:
+    elif kind == "Model":
         read = _honeybee
     elif isinstance(data, dict) and any(name in data for name in (*DETAILED, *BY_ANGLES)):
         read = energyplus_surfaces
@@ -59,31 +58,69 @@ def read_building(path: Path) -> MeshFile:
     return mesh_of(path, surfaces)
 
 
+def _json(path: Path, text: str, line: int | None = None) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        where = path if line is None else f"{path}, line {line}"
+        raise PatchError(f"{where} is no JSON: {error}") from None
+
+
+def _city_of_lines(path: Path) -> dict[str, Any]:
+    """The sequence of a header and features with vertices of their own, a line each, as one CityJSON."""
+    lines = [(number, text) for number, text in enumerate(path.read_text("utf-8-sig").splitlines(), 1) if text.strip()]
+    city, *features = (_json(path, text, number) for number, text in lines)
+    kinds = [feature.get("type") if isinstance(feature, dict) else None for feature in (city, *features)]
+    if kinds != ["CityJSON"] + ["CityJSONFeature"] * len(features):
+        raise PatchError(f"{path} is no sequence of CityJSON: a line of CityJSON, then lines of CityJSONFeature")
+    objects, vertices = dict(city["CityObjects"]), list(city["vertices"])
+    for feature in features:
+        for item in feature["CityObjects"].values():
+            for geometry in item.get("geometry", []):
+                geometry["boundaries"] = _shifted(geometry["boundaries"], len(vertices))
+        objects |= feature["CityObjects"]
+        vertices += feature["vertices"]
+    return {**city, "CityObjects": objects, "vertices": vertices}
+
+
+def _shifted(boundaries: Any, start: int) -> Any:
+    """The numbers of vertices, in lists of any depth, from another first one on."""
+    return [_shifted(inner, start) for inner in boundaries] if isinstance(boundaries, list) else boundaries + start
+
+
 def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
+    if not data["vertices"]:
+        return
     vertices = corners_of(data["vertices"], f"{path}: 'vertices'")
     if "transform" in data:
         vertices = vertices * data["transform"]["scale"] + data["transform"]["translate"]
+    templates = data.get("geometry-templates") or {}
     objects: dict[str, Any] = data["CityObjects"]
     # The finest level of detail of an object and of its parts (BuildingPart, not balconies), beside which it may have a
     # footprint.
-    levels = {name: max((_level(g) for g in item.get("geometry", [])), default=-1.0) for name, item in objects.items()}
+    made = {
+        name: [_instanced(path, name, geometry, vertices, templates) for geometry in item.get("geometry", [])]
+        for name, item in objects.items()
+    }
+    levels = {name: max((_level(g) for g, _ in geometries), default=-1.0) for name, geometries in made.items()}
     for name, item in objects.items():
         parts = [part for part in item.get("children", []) if objects[part]["type"].endswith("Part")]
         finest = max(levels[part] for part in (name, *parts))
-        for geometry in item.get("geometry", []):
+        for geometry, points in made[name]:
             if _level(geometry) < finest:
                 continue
             if geometry["type"] not in _DEPTHS:
                 raise PatchError(f"{path}: '{name}' is a {geometry['type']}: there are {', '.join(_DEPTHS)}")
-            semantics = geometry.get("semantics") or {"surfaces": [], "values": None}
-            flat = _flat(geometry["boundaries"], semantics["values"], _DEPTHS[geometry["type"]])
+            semantics = geometry.get("semantics")
+            values = semantics.get("values") if isinstance(semantics, dict) else None
+            flat = _flat(geometry["boundaries"], values, _DEPTHS[geometry["type"]])
             for number, (rings, meaning) in enumerate(flat):
                 for ring in rings:
-                    bad = next((k for k in ring if not 0 <= k < len(vertices)), None)
+                    bad = next((k for k in ring if not 0 <= k < len(points)), None)
                     if bad is not None:
-                        raise PatchError(f"{path}: surface {number} of '{name}' names vertex {bad} of {len(vertices)}")
-                outline, *holes = (vertices[ring] for ring in rings)
-                kind = "" if meaning is None else semantics["surfaces"][meaning]["type"]
+                        raise PatchError(f"{path}: surface {number} of '{name}' names vertex {bad} of {len(points)}")
+                outline, *holes = (points[ring] for ring in rings)
+                kind = "" if semantics is None or meaning is None else semantics["surfaces"][meaning]["type"]
                 yield Surface(
                     outline=outline,
                     holes=holes,
@@ -91,6 +128,21 @@ def _city(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
                     where=f"'{name}'",
                     groups={"type": kind, "object": name},
                 )
+
+
+def _instanced(
+    path: Path, name: str, geometry: dict[str, Any], vertices: Array, templates: dict[str, Any]
+) -> tuple[dict[str, Any], Array]:
+    """A geometry and its vertices: of an instance those of its template, turned and moved to a vertex."""
+    if geometry["type"] != "GeometryInstance":
+        return geometry, vertices
+    known = templates.get("templates", [])
+    if not 0 <= geometry["template"] < len(known):
+        raise PatchError(f"{path}: '{name}' is of template {geometry['template']}, and there are {len(known)}")
+    matrix = np.array(geometry["transformationMatrix"], dtype=np.float64).reshape(4, 4)
+    points = corners_of(templates["vertices-templates"], f"{path}: 'vertices-templates'")
+    (place,) = geometry["boundaries"]
+    return known[geometry["template"]], points @ matrix[:3, :3].T + matrix[:3, 3] + vertices[place]
 
 
 def _level(geometry: dict[str, Any]) -> float:
@@ -128,6 +180,9 @@ def _openings(rooms: list[dict[str, Any]]) -> Iterator[tuple[str, str]]:
 
 
 def _honeybee(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
+    if not data.get("rooms"):
+        left = ", ".join(f"{count} {kind}" for kind, count in _left_out(data).items())
+        raise PatchError(f"{path} has no rooms{f', only {left}' if left else ''}: make rooms of its faces")
     unit = data.get("units", "Meters")
     if unit not in _UNITS:
         raise PatchError(f"{path}: units are {', '.join(_UNITS)}, not '{unit}'")

@@ -49,6 +49,7 @@ _SURFACES = {
     ".hbjson": read_building,
     ".cityjson": read_building,
     ".json": read_building,
+    ".jsonl": read_building,
 }
 
 
