@@ -131,6 +131,20 @@ def test_zones_are_apart(tmp_path, variant):
         read_patches(written(tmp_path, "a.city.json", city()), zone="Z3")
 
 
+def test_a_turned_wall_of_a_room_whose_roof_has_a_window(tmp_path, variant):
+    """Cut around its window, the roof shares no edge with a wall; it is no open sheet yet."""
+    data = energyplus(shift=1.0)
+    (window,) = data["FenestrationSurface:Detailed"].values()
+    window["building_surface_name"] = "Z2:Roof"
+    for k, (x, y) in enumerate([(0.2, 0.3), (0.6, 0.3), (0.6, 0.9), (0.2, 0.9)]):
+        window |= {f"vertex_{k + 1}_{a}_coordinate": v for a, v in zip("xyz", (1 + x, y, 1), strict=True)}
+    data["BuildingSurface:Detailed"]["Z2:South"]["vertices"].reverse()
+    path = written(tmp_path, "a.epJSON", data)
+    wrong = orientation(read_patches(path), inward=True).wrong
+    assert list(read_patches(path).names[wrong]) == ["Z2:South"]
+    assert diagnose(read_patches(path, orient="inward")).is_closed
+
+
 def test_the_other_side_of_a_wall_to_a_zone(tmp_path):
     """EnergyPlus makes the side in the other zone of a wall, and of a window in it, if the file has only one."""
     data = energyplus(shift=1.0)
