@@ -493,7 +493,7 @@ def solve_heat(
     """
     from dataclasses import replace
 
-    from etendue.products import HeatResult, heat_files
+    from etendue.products import HeatResult, heat_files, warn_of_cold_sky
     from etendue.radiosity import (
         PatchSource,
         factors_of_patches,
@@ -520,6 +520,8 @@ def solve_heat(
         made = compute_form_factors(patches, row_sums=True, reciprocal=True, **asked, **settings).factors
     else:
         made = factors_of_patches(factors, patches)
+    if surroundings is None and not np.any(known.surroundings):
+        warn_of_cold_sky(made)
     balance = heat_balance(patches, made, known, solver=solver)  # type: ignore[arg-type]
     result = HeatResult(balance, made, names.tolist(), group, cases)
     for path in files:

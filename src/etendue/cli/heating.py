@@ -43,8 +43,8 @@ def heat(
         typer.Option(
             "-o",
             "--output",
-            help=".csv (groups, or cases), .npz (arrays), and of one case .vtu (faces) and .png (temperatures in false "
-            "colours); repeatable. By default heat.csv.",
+            help=".csv (groups, or cases; heads of columns have units, as heat_W), .npz (arrays), and of one case .vtu "
+            "(faces) and .png (temperatures in false colours); repeatable. By default heat.csv.",
             metavar="FILE",
         ),
     ] = None,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import sparse
+from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from .formfactors import FormFactors, entries_of, inverse
@@ -48,6 +49,12 @@ def group_index(factors: FormFactors, groups: ArrayLike | None = None) -> tuple[
     rank[order] = np.arange(len(order))
     names = np.array([str(name) or UNNAMED for name in found[order]], dtype=str)
     return names, rank[place.reshape(-1)]
+
+
+def named_patch(patches: Patches, number: int) -> str:
+    """A patch in words, with the group that it is in, as :func:`group_index` names it: ``patch 7 of group 'floor'``."""
+    name = str(patches.names[number]) or (str(patches.labels[number]) if patches.labels[number] != number else "")
+    return f"patch {number} of group '{name}'" if name else f"patch {number}"
 
 
 def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> FormFactors:
