@@ -121,7 +121,11 @@ class HeatResult:
         found = self.balance
         t = found.temperature[np.isfinite(found.temperature)]
         cases = f", {len(self.cases)} cases" if len(self.cases) > 1 else ""
-        words = f"{format_count(len(self.names), 'group')}{cases}: {t.min():.2f} to {t.max():.2f} K" if len(t) else "no temperatures"
+        words = (
+            f"{format_count(len(self.names), 'group')}{cases}: {t.min():.2f} to {t.max():.2f} K"
+            if len(t)
+            else "no temperatures"
+        )
         newton = f"{found.steps} steps of Newton's method, " if found.steps > 1 else ""
         return (
             f"{words}, {newton}residual {found.residual:.1g}, heat that is lost or gained {found.imbalance.max():.2g} "
