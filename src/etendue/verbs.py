@@ -424,6 +424,7 @@ def compute_point_factors(
     *,
     up: str = "z",
     rays: int | None = None,
+    error: float | None = None,
     groups: bool = False,
     solution: PathLike | None = None,
     max_area: float | None = None,
@@ -440,6 +441,7 @@ def compute_point_factors(
         all directions, 4 pi. Or :class:`etendue.lighting.Meters`; or a file of plane sensors, see
         :meth:`etendue.lighting.Meters.read`.
     up, rays: see :func:`etendue.radiosity.point_factors`; 8,192 rays for each sensor unless given.
+    error: rays are cast until no factor has a larger standard error, at most ``rays``.
     groups: the factors of groups of patches instead of patches, as of :func:`compute_form_factors`.
     solution: ``.npz`` of :func:`solve_radiosity` or :func:`solve_heat`, of the same patches: also the ``irradiance`` at
         the sensors, with the ``irradiance_error`` by the rays.
@@ -457,6 +459,7 @@ def compute_point_factors(
     source = PatchSource(source=mesh, max_area=max_area, parameters=parameters)
     use_variant(variant)
     options: Any = {"up": up, "seed": seed} | ({} if rays is None else {"rays": rays})
+    options["error"] = error
     return make_point_factors(source, placed, save, logger.info, groups=groups, solution=solution, **options)
 
 

@@ -53,6 +53,12 @@ def point_factors(
     rays: Annotated[
         int | None, typer.Option("--rays", help="Of each sensor; 8192 if not given.", metavar="N", min=1)
     ] = None,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            "--error", help="Cast until no factor has a larger standard error, at most --rays if given.", metavar="X"
+        ),
+    ] = None,
     solution: Annotated[
         Path | None,
         typer.Option(
@@ -103,6 +109,7 @@ def point_factors(
             lambda patches: describe_patches(source.name, patches),
             groups=groups,
             solution=solution,
+            error=error,
             **asked,
         )
     note(error_console(), f"{found.summary()}; in {format_seconds(time.perf_counter() - began)}")

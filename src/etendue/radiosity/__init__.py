@@ -157,7 +157,11 @@ from .lines.local import LocalRays as LocalRays
 from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as with_local_rays
 from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
-from .pointfactors import PointFactors as PointFactors, point_factors as point_factors
+from .pointfactors import (
+    PointFactors as PointFactors,
+    point_factors as point_factors,
+    point_factors_to_error as point_factors_to_error,
+)
 from .pointviews import PointViews as PointViews, point_views as point_views
 from .problem import PatchProblem as PatchProblem
 from .solvers.daylight import daylight_of_patches as daylight_of_patches
