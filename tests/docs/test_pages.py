@@ -195,6 +195,15 @@ def folder(tmp_path_factory, variant):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_are_understood(command, folder, monkeypatch, capsys):
+    assert_understood(command, folder, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize("command", _COMMAND.findall((ROOT / "docs" / "index.md").read_text("utf-8")))
+def test_commands_of_the_first_page_need_no_files(command, tmp_path, monkeypatch, capsys):
+    assert_understood(command, tmp_path, monkeypatch, capsys)
+
+
+def assert_understood(command, folder, monkeypatch, capsys):
     """All is read and checked; nothing is rendered."""
     begun, own = [], mi.variant()
 
