@@ -164,8 +164,9 @@ def folder(tmp_path_factory, variant):
     """The files that the examples of the shell name."""
     meshio = pytest.importorskip("meshio")
     path = tmp_path_factory.mktemp("shell")
-    (path / "scene.xml").write_text(SCENE)
-    (path / "office.xml").write_text(SCENE)
+    for name in {match[1] for command in COMMANDS if (match := re.match(r"etendue \w+ (\S+\.xml)", command))}:
+        (path / name).parent.mkdir(exist_ok=True)
+        (path / name).write_text(SCENE)
     etendue.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     film = {"spp": 2, "size": (8, 6), "bootstrap": 1024}
     etendue.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)
