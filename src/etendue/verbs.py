@@ -881,5 +881,6 @@ def _run_on_patches(
         return _run(task, callback, cluster, workers, wait)
     if (cluster, workers) != (None, None) or not wait:
         given = "wait" if not wait else "cluster and workers"
-        raise OptionError(f"method '{run.method}' makes its result at once, without passes: leave out {given}")
+        why = task.why or f"method '{run.method}' makes its result at once, without passes"
+        raise OptionError(f"{why}: leave out {given}")
     return task.make(logger.info)

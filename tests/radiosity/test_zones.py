@@ -105,3 +105,19 @@ def test_groups_of_several_zones(building, tmp_path):
     assert list(joined.zones) == [""]
     with pytest.raises(RadiosityError, match="is of several zones: take other groups"):
         etendue.compute_form_factors(joined, bundles=16, groups=True, save=tmp_path / "f.idf")
+
+
+def test_what_is_in_the_file(building, capsys):
+    assert main(["info", str(building), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["zones"] == "Z1, Z2" and told["extent"] == "2 x 1 x 1" and told["mesh"].endswith(", closed")
+    assert told["names"].startswith("Z1:Floor, Z1:Roof")
+
+
+def test_other_methods_and_workers(building, capsys):
+    """Spheres know no names of other zones; workers are refused."""
+    factors = etendue.compute_form_factors(building, "spheres", bundles=64).factors
+    floor, roof = (list(factors.name).index(name) for name in ("Z1:Floor", "Z1:Roof"))
+    assert factors.matrix[floor, roof] == pytest.approx(PLATES, abs=0.03)
+    assert main(f"form-factors {building} --workers 2 -o f.npz".split()) == 2
+    assert "zones are computed one after the other" in capsys.readouterr().err

@@ -50,7 +50,8 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
     with _ended_by_a_signal(product):
         if isinstance(task, AtOnce):
             if not device.is_alone:
-                raise OptionError("there are no passes for workers: leave out --cluster and --workers")
+                why = task.why or "there are no passes for workers"
+                raise OptionError(f"{why}: leave out --cluster and --workers")
             with Steps(error_console(), "reading") as steps:
                 result = task.make(steps.update, lambda patches: describe_patches(task.source.name, patches))
         else:

@@ -362,6 +362,10 @@ class Patches(InNotebooks):
             obstacles=np.flatnonzero(self.front[faces] < 0),
         )
         result._name_as(self, numbers)
+        if result.shapes is not None:  # without those of which no patch is chosen
+            used = np.unique(result.shapes[result.shapes >= 0])
+            result.shapes = np.where(result.shapes < 0, -1, np.searchsorted(used, result.shapes))
+            result.shape_names = tuple(result.shape_names[k] for k in used)
         return result, numbers
 
     def with_properties(

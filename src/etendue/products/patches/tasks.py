@@ -33,6 +33,8 @@ class AtOnce:
 
     source: PatchSource
     product: PatchProduct[Any]
+    #: Why workers are of no use.
+    why: str = ""
 
     def make(self, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent) -> Any:
         """Make it and write its files. ``tell`` receives the current step, ``on_patches`` the patches beforehand."""
@@ -159,7 +161,7 @@ class FactorRun(PatchRun):
 
         product.check_files(False)
         product.of_zone = of_zone
-        return AtOnce(source, product)
+        return AtOnce(source, product, f"zones are computed one after the other (zone is one of {', '.join(zones)})")
 
     def _chosen(self, source: PatchSource) -> str:
         """Integrals or lines, by what is asked for and by their time; ``tell`` gets the reason."""
