@@ -53,6 +53,8 @@ def as_idf(data, version=(9, 6)):
         items.append(["Space", name, space["zone_name"]])
     for name, zones in data.get("ZoneList", {}).items():
         items.append(["ZoneList", name, *(zone["zone_name"] for zone in zones["zones"])])
+    for name, spaces in data.get("SpaceList", {}).items():
+        items.append(["SpaceList", name, *(space["space_name"] for space in spaces["spaces"])])
     for name in data.get("Construction:AirBoundary", {}):
         items.append(["Construction:AirBoundary", name, "None"])
     for name, wall in data["BuildingSurface:Detailed"].items():

@@ -198,6 +198,30 @@ def test_spaces_are_enclosures(tmp_path):
         walls[name]["space_name"] = "lab"
     for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
         assert list(read_patches(path).zones) == 5 * ["Lab"] + ["Z1-Remainder"] + 7 * ["Z2"]
+    for name in list(walls)[:5]:
+        del walls[name]["space_name"]
+    data["Space"]["Store"] = {"zone_name": "z1"}
+    assert list(read_patches(written(tmp_path, "a.epJSON", data)).zones) == 6 * ["Store"] + 7 * ["Z2"]  # the last
+
+
+def test_air_boundaries_join_spaces(tmp_path, caplog):
+    """Of the same zone: their list is one of spaces."""
+    data = energyplus(shift=1.0)
+    data["Construction:AirBoundary"] = {"Air": {}}
+    data["Space"] = {name: {"zone_name": "Z1"} for name in ("Lab", "Store")}
+    for name, wall in data["BuildingSurface:Detailed"].items():
+        wall |= {"zone_name": "Z1", "space_name": "Lab" if name.startswith("Z1") else "Store"}
+        if name in ("Z1:East", "Z2:West"):
+            other = {"Z1:East": "Z2:West", "Z2:West": "Z1:East"}[name]
+            wall |= {"construction_name": "Air", "outside_boundary_condition": "Surface"}
+            wall["outside_boundary_condition_object"] = other
+    assert zone_names(read_patches(written(tmp_path, "a.idf", as_idf(data)))) == ("Enclosure of Lab",)
+    assert "join Lab, Store: EnergyPlus knows their enclosure by a SpaceList" in caplog.text
+    caplog.clear()
+    data["SpaceList"] = {"Both": {"spaces": [{"space_name": "store"}, {"space_name": "Lab"}]}}
+    for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
+        assert zone_names(read_patches(path)) == ("Both",)
+    assert not caplog.text
 
 
 @pytest.mark.parametrize("kind", ["Solid", "MultiSurface"])

@@ -36,6 +36,7 @@ _OTHERS = {
     "Construction:AirBoundary": ("solar_and_daylighting_method", "radiant_exchange_method"),
     "InternalMass": ("construction_name", "zone_or_zonelist_name"),
     "ZoneList": (),
+    "SpaceList": (),
 }
 
 
@@ -110,8 +111,11 @@ class _Enclosures:
 
     def __init__(self, path: Path, data: dict[str, Any]) -> None:
         self._path, self._data = path, data
+        self._zones = {_key(name) for name in data.get("Zone", {})}
         self._names = {_key(name): name for kind in ("Space", "Zone") for name in data.get(kind, {})}
-        self._with_spaces = {_key(space.get("zone_name")) for space in data.get("Space", {}).values()}
+        self._spaces: dict[str, list[str]] = {}  # of each zone, by keys
+        for name, space in data.get("Space", {}).items():
+            self._spaces.setdefault(_key(space.get("zone_name")), []).append(_key(name))
         # Earlier versions offer an air boundary that is a surface for radiation.
         self._open = {
             _key(name)
@@ -119,6 +123,7 @@ class _Enclosures:
             if _key(entry.get("radiant_exchange_method")) != "irtsurface"
         }
         walls = {_key(name): entry for kind in DETAILED for name, entry in data.get(kind, {}).items()}
+        self._divided = {_key(entry["zone_name"]) for entry in walls.values() if entry.get("space_name")}
         self._joined = joined(self._openings(walls))
 
     def of(self, entry: dict[str, Any]) -> str:
@@ -127,9 +132,9 @@ class _Enclosures:
         if own not in self._joined:
             return self._names.get(own, entry.get("space_name") or entry["zone_name"])
         joined = self._joined[own]
-        for name, members in self._data.get("ZoneList", {}).items():
-            if {_key(member.get("zone_name")) for member in members.get("zones", [])} == joined:
-                return str(name)
+        for name, members in self._lists():
+            if members == joined:
+                return name
         return f"Enclosure of {self._names.get(min(joined), min(joined))}"
 
     def is_open(self, entry: dict[str, Any]) -> bool:
@@ -141,12 +146,12 @@ class _Enclosures:
         unlisted = {frozenset(zones) for zones in self._joined.values()}
         for zones in sorted(unlisted, key=sorted):
             names = [self._names.get(zone, zone) for zone in sorted(zones)]
-            known = self.of({"zone_name": names[0], "space_name": names[0]})
-            if known not in self._data.get("ZoneList", {}):
+            if not any(members == zones for _, members in self._lists()):
+                kind = "ZoneList" if all(_key(name) in self._zones for name in names) else "SpaceList"
                 logger.warning(
-                    "%s: air boundaries join %s: EnergyPlus knows their enclosure by a ZoneList, so add one of them "
-                    "with the name '%s'",
-                    *(self._path, ", ".join(names), known),
+                    "%s: air boundaries join %s: EnergyPlus knows their enclosure by a %s, so add one of them with the "
+                    "name '%s'",
+                    *(self._path, ", ".join(names), kind, self.of({"zone_name": names[0], "space_name": names[0]})),
                 )
         if masses := len(self._data.get("InternalMass", {})):
             logger.warning(
@@ -155,15 +160,24 @@ class _Enclosures:
                 *(self._path, masses),
             )
 
+    def _lists(self) -> Iterator[tuple[str, set[str]]]:
+        """Names of lists, and the spaces that they have, or zones without spaces."""
+        for name, members in self._data.get("SpaceList", {}).items():
+            yield name, {_key(member.get("space_name")) for member in members.get("spaces", [])}
+        for name, members in self._data.get("ZoneList", {}).items():
+            zones = [_key(member.get("zone_name")) for member in members.get("zones", [])]
+            yield name, {space for zone in zones for space in self._spaces.get(zone, [zone])}
+
     def _space(self, entry: dict[str, Any]) -> str:
-        """The space of a surface, or its zone; EnergyPlus makes one space of all surfaces of a zone that name none."""
+        """The space of a surface, or its zone. If others of the zone name a space, those that name none are one more;
+        otherwise they are of the last space of the zone, as EnergyPlus does it."""
         if space := entry.get("space_name"):
             return _key(space)
         zone = _key(entry["zone_name"])
-        if zone in self._with_spaces:
+        if zone in self._divided:
             self._names.setdefault(f"{zone}-remainder", f"{entry['zone_name']}-Remainder")
             return f"{zone}-remainder"
-        return zone
+        return self._spaces.get(zone, [zone])[-1]
 
     def _openings(self, walls: dict[str, Any]) -> Iterator[tuple[str, str]]:
         """The spaces on both sides of each air boundary."""
@@ -234,8 +248,9 @@ def idf_objects(path: Path, text: str) -> dict[str, Any]:
 def _entry(path: Path, kind: str, fields: list[str]) -> dict[str, Any]:
     if kind == "GlobalGeometryRules":
         return dict(zip(_OTHERS[kind], fields, strict=False))
-    if kind == "ZoneList":
-        return {"zones": [{"zone_name": name} for name in fields[1:] if name]}
+    if kind in ("ZoneList", "SpaceList"):
+        one = kind.removesuffix("List").lower()
+        return {f"{one}s": [{f"{one}_name": name} for name in fields[1:] if name]}
     if kind in _OTHERS:
         return dict(zip(_OTHERS[kind], fields[1:], strict=False))
     if kind == _WINDOWS:
