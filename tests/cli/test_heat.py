@@ -242,6 +242,13 @@ def test_files_that_cannot_be(capsys):
     assert "there is no table none.csv" in capsys.readouterr().err
 
 
+def test_a_room_of_one_temperature_exchanges_no_heat(capsys):
+    """What is left in the balance is rounding."""
+    Path("c.csv").write_text("group,temperature,flux,emissivity\nfloor,300,,0.9\n*,,adiabatic,0.5\n")
+    assert run("room.obj -c c.csv --bundles 64 --max-area 0.1") == 0
+    assert {(row["heat"], row["flux"]) for row in rows("heat.csv")} == {("0", "0")}
+
+
 def test_heads_have_units(capsys):
     """Of groups, and of cases; and a sky without a temperature is told."""
     Path("hours.csv").write_text("hour,floor:temperature\n9,300\n10,310\n")

@@ -27,7 +27,7 @@ _OF_ONE_CASE = (".vtu", ".png")
 _COLUMNS = ("area", "temperature", "lowest", "highest", "heat", "flux")
 #: What follows the name of a column in a table.
 _UNITS = {"area": "m2", "temperature": "K", "lowest": "K", "highest": "K", "heat": "W", "flux": "W_m2"}
-#: Heat below this share of the largest is that of rounding, and written as 0.
+#: Heat below this share of the radiation that a group sends, at most, is that of rounding, and written as 0.
 _ROUNDING = 1e-9
 #: Share of the surroundings in what patches see, above which a mesh is open.
 _OPEN = 1e-9
@@ -107,8 +107,10 @@ class HeatResult:
 
     def _rows(self) -> list[list[Any]]:
         table = self.table()
-        for name in ("heat", "flux"):
-            table[name][np.abs(table[name]) < _ROUNDING * np.nanmax(np.abs(table[name]), initial=0.0)] = 0.0
+        sent = np.abs(self.balance.radiosity)
+        by_group = np.bincount(self.group, self.balance.patches.areas * sent.max(axis=1))
+        for name, scale in (("heat", by_group.max()), ("flux", sent.max())):
+            table[name][np.abs(table[name]) < _ROUNDING * scale] = 0.0
         if len(self.cases) == 1:
             rows = [[name, *(_text(table[c][g, 0]) for c in _COLUMNS)] for g, name in enumerate(self.names)]
             return [["group", *map(_head, _COLUMNS)], *rows]
