@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from etendue.core import OptionError
+from etendue.surfaces import Patches
 
 
 class RadiosityError(OptionError):
     """Lines, form factors or a solution that cannot be computed as requested. The message is one line with the reason
     and a remedy."""
+
+
+def check_no_period(patches: Patches, what: str) -> None:
+    """Raise :class:`RadiosityError` if patches are repeated without end, for what would see one period alone."""
+    if patches.period is not None:
+        raise RadiosityError(f"{what} cannot repeat a periodic domain: cast lines (method lines), or leave out periodic")

@@ -97,7 +97,9 @@ def sunlight(
     for j in risen:
         projected = _projected(patches, ways[j])
         cosine[:, j] = projected / patches.divisors
-        met_by = np.zeros(n) if engine is None else _BUNDLES * projected / engine.bundles.spacing**2
+        met_by = np.zeros(n)
+        if engine is not None:
+            met_by = _BUNDLES * projected * engine.bundles.density(engine.bundles.frames_along(ways[j : j + 1]))
         few = np.flatnonzero((projected > 0) & (met_by < _FEWEST))
         if len(few):
             rays = rays or _Rays(patches, seed)

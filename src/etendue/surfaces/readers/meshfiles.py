@@ -61,6 +61,7 @@ def read_patches(
     more: Sequence[str | Path] = (),
     obstacles: Sequence[str | Path] = (),
     orient: str | None = None,
+    periodic: Sequence[float] | None = None,
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
 
@@ -137,6 +138,7 @@ def read_patches(
         sky=sky,
         left_out=left_out,
         obstacles=np.flatnonzero(np.isin(rows, mesh.obstacles)),
+        periodic=periodic,
     )
     if objects is not None:
         numbers = _cell_array(path, cells, objects, whole=True)[seen]
