@@ -88,6 +88,15 @@ Orient = Annotated[
         "--orient", help="Turn the faces of a mesh: outward (of solids) or inward (into rooms).", metavar="SIDE"
     ),
 ]
+Periodic = Annotated[
+    opt.Lengths | None,
+    typer.Option(
+        "--periodic",
+        help="The mesh is one period, so long in x and y, of a city that repeats without end; 0 for no repetition.",
+        parser=opt.parse_lengths,
+        metavar="LX,LY",
+    ),
+]
 LineSeed = Annotated[
     int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
 ]
@@ -128,12 +137,14 @@ def mesh_arguments(
     orient: str | None,
     more: list[Path] | None,
     obstacles: list[Path] | None,
+    periodic: opt.Lengths | None = None,
     **named: Any,
 ) -> dict[str, Any]:
     """Arguments of ``read_patches``, with further files where a checkpoint finds them again."""
     files = {"more": more, "obstacles": obstacles}
     further = {name: [str(path.absolute()) for path in some] if some else None for name, some in files.items()}
-    return {"ids": ids, "two_sided": two_sided, "orient": orient, **further, **named}
+    given = {"ids": ids, "two_sided": two_sided, "orient": orient, "periodic": periodic and tuple(periodic)}
+    return {**given, **further, **named}
 
 
 def form_factors(
@@ -217,6 +228,7 @@ def form_factors(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    periodic: Periodic = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
@@ -259,7 +271,7 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance)),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, periodic, reflectance=quantity(reflectance)),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -370,6 +382,7 @@ def radiosity(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    periodic: Periodic = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
     divide: Annotated[
@@ -488,6 +501,7 @@ def radiosity(
             orient,
             more,
             obstacles,
+            periodic,
             reflectance=quantity(reflectance),
             emission=quantity(emission),
             temperature=quantity(temperature),

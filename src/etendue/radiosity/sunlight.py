@@ -19,7 +19,7 @@ from etendue.lighting import Suns, compass
 from etendue.points import OwenSobol
 from etendue.surfaces import BATCH, Patches, RayScene, RaySource, Sides
 
-from .errors import RadiosityError
+from .errors import RadiosityError, check_up
 from .lines.abuffer import ABuffer
 from .lines.segments import scatter
 
@@ -76,6 +76,7 @@ def sunlight(
     32 of these lines would meet (small ones, and those at which the rays graze) send 256 rays towards the sun instead.
     Suns below the horizon light nothing. Raises :class:`RadiosityError` if the result does not fit into memory.
     """
+    check_up(patches, up)
     n, k, free = len(patches), len(suns), free_memory()
     if free is not None and _BYTES * n * k > free:
         raise RadiosityError(

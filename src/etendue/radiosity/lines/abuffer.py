@@ -48,11 +48,11 @@ class ABuffer(LineEngine):
     points: by default :class:`SpiralPoints`, a spiral for the bundles of each call.
     A periodic domain (``period`` of the patches) has :class:`PeriodicBundles`, which need the compiled loops.
 
-    lines: number of lines of a bundle through the bounding sphere, or one period; by default four per patch in the mean, and at least
-        16384. If few surfaces in a large space need more than 2^24 lines, or 32 per patch if that is more, a bundle has
-        that number, with a warning; :class:`LocalRays` are then better. The squared error of a patch falls with the
-        number of bundles times the power 3/2 of their lines, as long as there are enough directions: use a few hundred
-        bundles, or a thousand for errors of 0.2 %.
+    lines: number of lines of a bundle through the bounding sphere, or of a vertical one through a period; by default
+        four per patch in the mean, and at least 16384. If few surfaces in a large space need more than 2^24 lines, or
+        32 per patch if that is more, a bundle has that number, with a warning; :class:`LocalRays` are then better. The
+        squared error of a patch falls with the number of bundles times the power 3/2 of their lines, as long as there
+        are enough directions: use a few hundred bundles, or a thousand for errors of 0.2 %.
     backend: ``compiled`` loops on the CPU (Numba), or ``drjit``, on the device of the current variant. ``auto`` takes
         ``drjit`` on a GPU. Both find the same segments, except for single lines at an edge.
 
@@ -179,8 +179,8 @@ class ABuffer(LineEngine):
 
 
 def wanted_lines(patches: Patches) -> tuple[float, float]:
-    """Lines of a bundle through the bounding sphere, or one period, for the default mean number per patch, and their
-    limit."""
+    """Lines of a bundle through the bounding sphere, or of a vertical one through a period, for the default mean number
+    per patch, and their limit."""
     sparse = 2 * np.pi * patches.sphere[1] ** 2 / patches.areas.sum()
     if patches.period is not None:
         sparse = 1 / PeriodicBundles(patches, 1.0).expected(patches.areas, 1).sum()

@@ -96,9 +96,7 @@ def rasterise(
         heads[: columns * rows] = _NONE
         face, count, wanted = 0, 0, 0
         while True:
-            face, count, wanted = _fill(
-                place, faces, window, columns, rows, skew, heads, hits, nexts, face, count
-            )
+            face, count, wanted = _fill(place, faces, window, columns, rows, skew, heads, hits, nexts, face, count)
             if face == len(faces):
                 break
             room = max(2 * len(hits), count + wanted)

@@ -93,9 +93,7 @@ class RayScene:
         ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
         return self._scene.ray_intersect_preliminary(ray, coherent=False, active=active)
 
-    def _hit_again(
-        self, origins: mi.Point3d, directions: mi.Vector3d, active: mi.Bool
-    ) -> mi.PreliminaryIntersection3f:
+    def _hit_again(self, origins: mi.Point3d, directions: mi.Vector3d, active: mi.Bool) -> mi.PreliminaryIntersection3f:
         """:meth:`hit` in a periodic domain: a ray that leaves the period at a side enters it at the opposite one. Both
         parts overlap by two steps at the side, so that rounding lets no ray pass a face there."""
         import mitsuba as mi

@@ -78,6 +78,7 @@ def read_patches(
         of patches have; ``"file"`` numbers these files, and names them.
     orient: ``"outward"`` turns the faces whose fronts are not outside of solids, ``"inward"`` those whose fronts are
         not inside of rooms (:func:`orientation`); a warning names them.
+    periodic: see :class:`Patches`.
 
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
     without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
