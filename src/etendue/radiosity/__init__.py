@@ -77,6 +77,7 @@ from .factors.formfactors import (
 from .factors.gebhart import gebhart_factors as gebhart_factors
 from .factors.groups import between_groups as between_groups, group_index as group_index, row_names as row_names
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
+from .factors.rows import joined_rows as joined_rows, known_rows as known_rows
 from .factors.skyparts import sky_parts as sky_parts
 from .files.colours import coloured_mesh as coloured_mesh
 from .files.conditions import read_conditions as read_conditions
@@ -87,6 +88,7 @@ from .files.factorfiles import (
     factor_format as factor_format,
     factors_of_patches as factors_of_patches,
     no_factors as no_factors,
+    read_emissivity as read_emissivity,
     read_form_factors as read_form_factors,
     save_form_factors as save_form_factors,
 )

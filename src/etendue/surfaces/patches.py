@@ -74,11 +74,13 @@ class Patches(InNotebooks):
     shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, to which each patch belongs, -1 for
         none; and the names of the shapes. ``shapes`` is ``None`` if they are not known.
     period: the lengths of ``periodic``, ``None`` if there is no repetition.
+    files: names of the mesh files of the patches, and the number of the first face of each.
     """
 
     shapes: Index | None = None
     shape_names: tuple[str, ...] = ()
     period: tuple[float, float] | None = None
+    files: tuple[tuple[str, int], ...] = ()
 
     def __init__(
         self,
@@ -337,9 +339,19 @@ class Patches(InNotebooks):
         result._name_as(self, sides)
         return result
 
+    def of_files(self, names: Sequence[str]) -> NDArray[np.bool_]:
+        """(n,) the patches of some of the ``files``. Raises :class:`PatchError` for a name of none, and of several."""
+        known = [name for name, _ in self.files]
+        for name in names:
+            if known.count(name) != 1:
+                what = "there is no file" if name not in known else "there are several files"
+                raise PatchError(f"{what} '{name}' among those of the patches: {', '.join(known)}")
+        number = np.searchsorted([first for _, first in self.files], self.face, side="right") - 1
+        return np.isin(number, [known.index(name) for name in names])
+
     def _name_as(self, other: Patches, patches: Index) -> None:
-        """Take labels and shapes from ``patches`` (n,) of another mesh, and its period."""
-        self.period = other.period
+        """Take labels and shapes from ``patches`` (n,) of another mesh, its files and its period."""
+        self.period, self.files = other.period, other.files
         self.labels = other.labels[patches]
         self.shapes, self.shape_names = None if other.shapes is None else other.shapes[patches], other.shape_names
 

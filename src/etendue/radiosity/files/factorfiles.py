@@ -27,6 +27,7 @@ from etendue.formats import (
     netcdf_library,
     openfoam_face_lines,
     openfoam_factor_lines,
+    read_netcdf,
     read_view3d,
     save_arrays,
     table_lines,
@@ -294,6 +295,18 @@ def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of form factors '{path}'") from None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise RadiosityError(f"'{path}' is not a file of form factors that save_form_factors wrote as .npz") from error
+
+
+def read_emissivity(path: str | os.PathLike[str]) -> Array:
+    """(n,) the emissivities in a file of form factors that :func:`save_form_factors` wrote as ``.npz`` or ``.nc``.
+    Raises :class:`RadiosityError` for another file, :class:`FormatError` for one that is damaged."""
+    if Path(path).suffix.lower() == ".nc":
+        return np.asarray(read_netcdf(path, "form factors", ("emissivity",))["emissivity"])
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            return np.asarray(saved["emissivity"])
+    except (OSError, KeyError, ValueError, EOFError, TypeError, BadZipFile) as error:
         raise RadiosityError(f"'{path}' is not a file of form factors that save_form_factors wrote as .npz") from error
 
 

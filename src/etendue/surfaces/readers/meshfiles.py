@@ -89,11 +89,11 @@ def read_patches(
     path = Path(path)
     if temperature is not None and emission is not None and (isinstance(emission, str) or np.any(emission)):
         raise PatchError("patches emit by their temperature or have an emission; give one of the two")
-    mesh = _read(path)
+    files = [(name.stem, _read(name)) for name in (path, *map(Path, more))]
+    mesh = files[0][1]
     if more or obstacles:
-        files = [(Path(name).stem, _read(Path(name))) for name in more]
         hidden = [_read(Path(name)) for name in obstacles]
-        mesh = joined_files([(path.stem, mesh), *files], hidden, is_reflectance_given=reflectance is not None)
+        mesh = joined_files(files, hidden, is_reflectance_given=reflectance is not None)
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
@@ -141,6 +141,8 @@ def read_patches(
         obstacles=np.flatnonzero(np.isin(rows, mesh.obstacles)),
         periodic=periodic,
     )
+    firsts = np.cumsum([0, *(int(m.rows[-1]) + 1 if len(m.rows) else 0 for _, m in files[:-1])])
+    patches.files = tuple((name, int(first)) for (name, _), first in zip(files, firsts, strict=True))
     if objects is not None:
         numbers = _cell_array(path, cells, objects, whole=True)[seen]
         if not _set_shapes(patches, labels[seen], numbers):
