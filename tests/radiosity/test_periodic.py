@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.patches import square
+from support.patches import opposite, square
 
 import etendue
 from etendue.cli.main import main
-from etendue.core import OptionError
+from etendue.core import CheckpointError, OptionError
 from etendue.lighting import Meters, Suns
 from etendue.points import OwenSobol
 from etendue.radiosity import (
@@ -288,3 +288,20 @@ def test_commands(tmp_path, monkeypatch):
     for wrong in ("16", "16,a", "16,3,2"):
         assert main(["form-factors", "street.obj", "--periodic", wrong]) != 0
     assert main(["form-factors", "street.obj", "-m", "exact", *period]) != 0
+
+
+def test_few_surfaces_in_a_large_period_send_rays():
+    plates = joined(square((0, 0, 0), (1, 0, 0), (0, 1, 0)), square((0, 0, 1), (0, 1, 0), (1, 0, 0)))
+    patches = Patches(*plates, periodic=(1e5, 1e5))
+    assert not ABuffer.suits(patches)
+    factors = etendue.compute_form_factors(patches, bundles=64).factors
+    assert factors.matrix.todense() == pytest.approx(opposite(1, 1) * (1 - np.eye(2)), abs=5e-3)
+
+
+def test_a_run_goes_on(tmp_path):
+    once = etendue.compute_form_factors(canyon(), bundles=64, seed=3).factors
+    etendue.compute_form_factors(canyon(), bundles=32, seed=3, checkpoint=tmp_path / "half.checkpoint")
+    resumed = etendue.resume(tmp_path / "half.checkpoint", scene=canyon(), bundles=64)
+    assert (resumed.factors.matrix != once.matrix).nnz == 0
+    with pytest.raises(CheckpointError, match="not the one"):
+        etendue.resume(tmp_path / "half.checkpoint", scene=canyon(None), bundles=64)
