@@ -135,6 +135,11 @@ class ImageSettings(Settings):
         "emitted radiance, number of the shape; and, after two passes, the variance of the picture's pixels, estimated "
         "from the passes",
     )
+    hide_emitters: bool = setting(
+        False,
+        "hide lights from the camera, which sees what is behind them, and a black background in place of the "
+        "environment; mirrors and glass show them",
+    )
     components: bool = setting(
         False,
         "add layers of the components of light: emission, direct, caustic and indirect, whose sum is the picture",
@@ -243,7 +248,7 @@ class ImageMethod(Method):
         self.packet = Packet()
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent", self.packet)
         self.lights = LightTable(problem.scene, self.packet)
-        self.visibility = Visibility(problem.scene, problem.sensor, self.packet)
+        self.visibility = Visibility(problem.scene, problem.sensor, self.packet, self.settings.hide_emitters)
         if self.visibility.media is not None:
             self._check_media(problem)
         self._hits: FirstHits | None = None  # of the pass that is being made
@@ -406,6 +411,7 @@ class ImageMethod(Method):
     def path_fields(self) -> dict[str, Any]:
         """Additional fields of the state of a camera path, for ``CameraPath.start``."""
         fields = component_fields() if self.settings.components else {}
+        fields["hidden"] = self.visibility.hidden
         return fields | ({} if self._hits is None else {"through": self._hits.through})
 
     def kept(self, radiance: mi.Spectrum) -> tuple[mi.Color3f, mi.Bool]:
@@ -475,7 +481,7 @@ class ImageMethod(Method):
             ray, _, _ = self.camera.primary(lanes // samples, source)
             recorder = hits.of(lanes, iteration)
             walker = self.walker(Walker, first=recorder)
-            path = CameraPath.start(ray, self.edges, through=recorder.through)
+            path = CameraPath.start(ray, self.edges, through=recorder.through, hidden=self.visibility.hidden)
             walker.walk(path, lambda s: _first_edge(s, walker, source), "first hits")
         found, bad = hits.found()
         layers = self.images(found, seed, hits.iteration, samples)

@@ -216,7 +216,7 @@ class Auto(Carrying, ImageMethod):
             if self._vcm:
                 self._vcm_state = self._vcm.left()
             own = self.settings
-            names = ("max_depth", "samples_per_pass", "sampler", "scrambling", "reconstruction", "clamp", "components")
+            names = ("max_depth", "hide_emitters", "sampler", "scrambling", "reconstruction", "clamp", "components")
             common = {name: getattr(own, name) for name in names} | {"samples_per_pass": self.samples_per_iteration}
             settings = BidirectionalSettings(
                 **common,
