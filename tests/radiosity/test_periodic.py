@@ -225,6 +225,19 @@ def test_the_mean_number_of_lines_is_right(period):
         assert mean * bundles.spacing**2 == pytest.approx(1, rel=3e-3)
 
 
+@pytest.mark.parametrize("lines", [1, 7])
+def test_bundles_of_few_lines(lines):
+    """Most lattices are far from the wanted number of lines, and many bundles have none; the mean is right."""
+    wanted = np.column_stack(crossed_strings())
+    casts = [ABuffer(canyon(), OwenSobol(4, seed=seed), lines=lines).cast(1024) for seed in range(8)]
+    rows = [np.column_stack([f.matrix.todense(), f.sky]) for f in map(form_factors, casts)]
+    error = np.std(rows, axis=0, ddof=1) / np.sqrt(len(rows))
+    assert (np.abs(np.mean(rows, axis=0) - wanted) < 5 * error + 1e-12).all() and error.max() < 0.02
+    shares = [segments.counted / segments.expected for segments in casts]
+    error = np.std(shares, axis=0, ddof=1) / np.sqrt(len(shares))
+    assert (np.abs(np.mean(shares, axis=0) - 1) < 5 * error).all() and error.max() < 0.06
+
+
 def test_what_is_refused(tmp_path, caplog):
     with pytest.raises(PatchError, match="the mesh is 16 long in x, more than its period of 15"):
         canyon((15, SHORT))

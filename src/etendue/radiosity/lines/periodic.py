@@ -71,10 +71,9 @@ class PeriodicBundles(Bundles):
         """(n, 4, 3) frames of upward directions (n, 3); the rows are the axes of the grid, sheared along the direction,
         the height in units of half that of the domain, and the direction. ``choice``: random numbers (n,)."""
         slope = np.maximum(way[:, 2], LEAST_SLOPE)
-        choices = np.broadcast_to(choice, slope.shape)
-        lattices = [self._lattice(self._count * z, v) for z, v in zip(slope, choices, strict=True)]
+        lattices = self._lattices(self._count * slope, np.broadcast_to(choice, slope.shape))
         frames = np.zeros((len(way), 4, 3))
-        frames[:, :2, :2] = np.array(lattices).reshape(-1, 2, 2) / self.sides * self.spacing
+        frames[:, :2, :2] = lattices / self.sides * self.spacing
         frames[:, :2, 2] = -(frames[:, :2, :2] @ (way[:, :2] / slope[:, None])[:, :, None])[:, :, 0]
         frames[:, 2, 2] = 1 / self._half_height
         frames[:, 3] = way
@@ -89,22 +88,28 @@ class PeriodicBundles(Bundles):
         steps = np.rint(frames[:, :2, :2] * self.period / self.spacing).astype(np.int64)
         return np.array([_wrap(*step[:, 0].tolist(), *step[:, 1].tolist()) for step in steps]).reshape(-1, 3)
 
-    def _lattice(self, lines: float, choice: float) -> Array:
-        """(2, 2) columns and rows along the sides of the domain: about equally spaced, and whole numbers along periods.
-        Their determinant, the number of lines, has the mean ``lines`` over the ``choice``."""
-        periodic = self.period > 0
-        steps = self.sides * np.sqrt(lines / self.sides.prod())
+    def _lattices(self, lines: Array, choice: Array) -> Array:
+        """(n, 2, 2) columns and rows along the sides of the domain: about equally spaced, and whole numbers along
+        periods. Their determinants, the numbers of lines, have the means ``lines`` (n,) over the ``choice``."""
+        periodic, count = self.period > 0, len(lines)
+        steps = self.sides * np.sqrt(lines / self.sides.prod())[:, None]
+        found = np.zeros((count, 2, 2))
         if not periodic.all():  # rows repeat, columns go on
-            rows = max(np.rint(steps[periodic]).item(), 1.0)
-            return np.array([[lines / rows, 0.0], [0.0, rows]] if periodic[1] else [[0.0, -lines / rows], [rows, 0.0]])
-        cosine, sine = np.cos(TURN) * steps, np.sin(TURN) * steps
-        near = np.rint([[cosine[0], sine[1]], [-sine[0], cosine[1]]]) + _TRIED
-        tried = np.concatenate([near, np.diag(np.ceil(steps))[None], np.zeros((1, 2, 2))])
-        counts = np.rint(np.linalg.det(tried))
-        above, below = counts >= lines, (counts >= 0) & (counts <= lines)
-        more, less = counts[above].min(), counts[below].max()
-        count = more if less == more or choice < (lines - less) / (more - less) else less
-        return np.asarray(tried[np.argmax(counts == count)])
+            along = int(np.argmax(periodic))
+            rows = np.maximum(np.rint(steps[:, along]), 1.0)
+            found[:, 1, along], found[:, 0, 1 - along] = rows, lines / rows * (1 if along else -1)
+            return found
+        (x, y), cosine, sine = steps.T, np.cos(TURN), np.sin(TURN)
+        turned = np.rint(np.array([[cosine * x, sine * y], [-sine * x, cosine * y]]).transpose(2, 0, 1))
+        whole = np.ceil(steps)[:, None, :, None] * np.eye(2)
+        tried = np.concatenate([np.zeros((count, 1, 2, 2)), whole, turned[:, None] + _TRIED], axis=1)
+        counts = tried[..., 0, 0] * tried[..., 1, 1] - tried[..., 0, 1] * tried[..., 1, 0]
+        wanted = lines[:, None]
+        more = np.where(counts >= wanted, counts, np.inf).min(axis=1)
+        less = np.where((counts >= 0) & (counts <= wanted), counts, -np.inf).max(axis=1)
+        taken = np.where(choice * (more - less) < lines - less, more, less)
+        # The first one with this number: without lines, zeros.
+        return tried[np.arange(count), np.argmax(counts == taken[:, None], axis=1)]
 
 
 def _wrap(a: int, b: int, c: int, d: int) -> tuple[int, int, int]:
