@@ -33,17 +33,21 @@ def write(path, vertices, faces):
     path.write_text("\n".join(lines))
 
 
-@pytest.fixture
-def tiles(tmp_path, monkeypatch):
-    """Three tiles of 4 x 4 with a house of its own height on the ground of each."""
-    monkeypatch.chdir(tmp_path)
-    for k, name in enumerate(NAMES):
+def write_tiles(folder, heights):
+    """Three tiles of 4 x 4 with a house on the ground of each."""
+    for k, (name, height) in enumerate(zip(NAMES, heights, strict=True)):
         x = 4.0 * k
-        house, faces = box((x + 1, 1, 0), (x + 3, 3, 1 + k))
+        house, faces = box((x + 1, 1, 0), (x + 3, 3, height))
         above = faces[(house[faces][:, :, 2] > 0).any(axis=1)]
         strips = [((0, 0), (4, 1)), ((0, 3), (4, 1)), ((0, 1), (1, 2)), ((3, 1), (1, 2))]
         ground = [square((x + a, b, 0), (width, 0, 0), (0, depth, 0)) for (a, b), (width, depth) in strips]
-        write(tmp_path / f"{name}.obj", *joined((house, above), *ground))
+        write(folder / f"{name}.obj", *joined((house, above), *ground))
+
+
+@pytest.fixture
+def tiles(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_tiles(tmp_path, (1, 2, 3))
     return ["west.obj", "--more", "middle.obj", "--more", "east.obj"]
 
 
@@ -120,3 +124,22 @@ def test_what_is_refused(tiles):
         with pytest.raises(OptionError):
             etendue.compute_form_factors(mesh, rows="west", **wrong)
     assert main(["join-factors", "missing.npz"]) != 0
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_tiles_in_another_order_are_not_joined(tiles, tmp_path, suffix, capsys):
+    if suffix == ".nc":
+        pytest.importorskip("h5netcdf")
+    write_tiles(tmp_path, (1, 1, 1))  # areas do not tell these apart
+    turned = ["west.obj", "--more", "east.obj", "--more", "middle.obj"]
+    for name, files in (("west", tiles), ("middle", tiles), ("east", turned)):
+        asked = ["-m", "rays", "--error", "0.2", "--rows", f"{name}.obj", "-o", name + suffix]
+        assert main(["form-factors", *files, *asked]) == 0
+    rows = [name + suffix for name in NAMES]
+    capsys.readouterr()
+    assert main(["join-factors", *rows, "-o", "all.npz"]) != 0
+    assert "row 9 is in both" in capsys.readouterr().err
+    asked = ["-m", "rays", "--error", "0.2", "--rows", "middle.obj", "-o", "east" + suffix]
+    assert main(["form-factors", *turned, *asked]) == 0  # its rows are the last there
+    assert main(["join-factors", *rows, "-o", "all.npz"]) != 0
+    assert "are of other patches: name the same files in the same order" in capsys.readouterr().err

@@ -88,8 +88,8 @@ from .files.factorfiles import (
     factor_format as factor_format,
     factors_of_patches as factors_of_patches,
     no_factors as no_factors,
-    read_emissivity as read_emissivity,
     read_form_factors as read_form_factors,
+    read_notes as read_notes,
     save_form_factors as save_form_factors,
 )
 from .files.netcdf import read_segments as read_segments, save_segments as save_segments

@@ -37,8 +37,8 @@ from etendue.radiosity import (
     local_form_factors,
     no_factors,
     partial_form_factors,
-    read_emissivity,
     read_form_factors,
+    read_notes,
     save_form_factors,
     sky_parts,
 )
@@ -48,6 +48,8 @@ from ..files import Writing, about
 from ..results import FormFactorResult
 from .base import PatchProduct
 
+#: Name of the digest of patches in the metadata of rows.
+_PATCHES = "patches"
 #: Formats that say which rows are known.
 _OF_ROWS = (".npz", ".nc")
 #: Bundles for each patch of the sky, at least, unless a budget is given; rounded up to a power of two.
@@ -188,7 +190,9 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         begin, how = time.perf_counter(), "exact" if self.rays is None else "rays"
         factors, correction = self._corrected(self._computed(problem.patches, tell))
         elapsed, writing = time.perf_counter() - begin, Writing()
-        known = self._asked if self.rays is None else {**self._asked, "rays": self.rays, "seed": self.seed}
+        known = self._asked
+        if self.rays is not None:
+            known |= {"rays": self.rays, "seed": self.seed, _PATCHES: problem.fingerprint}
         emissivity = 1 - problem.patches.reflectance[:, 0]
         groups = self._write(writing, emissivity, factors, about(problem.source, estimator=how, **known))
         writing.finish()
@@ -212,12 +216,17 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         """The form factors of all patches from files of the rows of some, see :func:`etendue.radiosity.joined_rows`,
         corrected, and written to the files of this product."""
         whole = joined_rows([read_form_factors(path) for path in paths], list(map(str, paths)))
+        notes = [read_notes(path) for path in paths]
+        for path, (_, known) in zip(paths, notes, strict=True):
+            if known.get(_PATCHES) != notes[0][1].get(_PATCHES):
+                raise OptionError(
+                    f"'{path}' and '{paths[0]}' are of other patches: name the same files in the same order in each run"
+                )
         for path in self.outputs:
             check_factors(path, between_groups(whole) if self.groups else whole)
         factors, correction = self._corrected(whole)
         writing = Writing()
-        known = about(", ".join(map(str, paths)), **self._asked)
-        self._write(writing, read_emissivity(paths[0]), factors, known)
+        self._write(writing, notes[0][0], factors, about(", ".join(map(str, paths)), **self._asked))
         writing.finish()
         return factors, correction
 
