@@ -11,7 +11,19 @@ from etendue.core import format_seconds
 
 from . import options as opt
 from .console import Steps, error_console, note, say
-from .patches import Bundles, Ids, LineSeed, MaxArea, More, Obstacles, Orient, TwoSided, ZoneName, mesh_arguments
+from .patches import (
+    Bundles,
+    Ids,
+    LineSeed,
+    MaxArea,
+    More,
+    Obstacles,
+    Orient,
+    Periodic,
+    TwoSided,
+    ZoneName,
+    mesh_arguments,
+)
 
 
 def heat(
@@ -74,6 +86,7 @@ def heat(
     obstacles: Obstacles = None,
     orient: Orient = None,
     zone: ZoneName = None,
+    periodic: Periodic = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
@@ -95,7 +108,7 @@ def heat(
     console, began = error_console(), clock.perf_counter()
     choose_device(variant, threads)
     files = output or [Path("heat.csv")]
-    given = mesh_arguments(ids, two_sided, orient, more, obstacles, zone)
+    given = mesh_arguments(ids, two_sided, orient, more, obstacles, zone, periodic)
     patches = PatchSource(source=mesh, max_area=max_area, mesh=given).open().patches
     limits = opt.limits(time, error, bundles=bundles)
     with Steps(console, "form factors" if factors is None else "solving"):

@@ -35,7 +35,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, scatters
+from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, one_way, scatters
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -205,6 +205,8 @@ class ImageMethod(Method):
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
     #: Participating media that the method renders: "absorbing", "scattering" (both kinds), or None.
     media: ClassVar[str | None] = "absorbing"
+    #: Whether the method renders hair, by camera paths alone: see :func:`etendue.scene.one_way`.
+    one_way: ClassVar[bool] = False
     #: Whether the method renders under variants whose light is not RGB.
     spectral: ClassVar[bool] = False
     #: Whether meters may take the place of a camera: not if photons are merged, of which there are none on meters, nor
@@ -242,6 +244,11 @@ class ImageMethod(Method):
         if graph.plugin_name(problem.sensor) in ("meters", "distant") and not self.measures:
             raise UnsupportedError(
                 f"method '{self.name}' measures nothing at points or in one direction; use path, guided or bpt"
+            )
+        if not self.one_way and (curve := one_way(problem.scene)) is not None:
+            raise UnsupportedError(
+                f"{graph.describe(curve, 'shape')} lets light through one way only, so that light paths cannot cross "
+                f"it, which method '{self.name}' needs; use auto, path or guided"
             )
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene

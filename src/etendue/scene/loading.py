@@ -20,6 +20,7 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene, check_light
 from .changes.transforms import settle_transforms
+from .curves import extend_curves
 from .graph import name as element_name
 from .lamps.environments import instantiated
 from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
@@ -360,6 +361,7 @@ def _from_scene(
         raise SceneError(
             f"the scene was loaded under '{scene.variant_name()}' but '{mi.variant()}' is set; load it again"
         )
+    extend_curves(scene)
     chosen = _sensor(scene, sensor, "the scene")
     warn_of_offsets(scene, chosen, "the scene")
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
