@@ -107,6 +107,18 @@ def test_groups_of_several_zones(building, tmp_path):
         etendue.compute_form_factors(joined, bundles=16, groups=True, save=tmp_path / "f.idf")
 
 
+def test_further_files(building, caplog):
+    """Obstacles stand in every zone; patches of a file without zones would belong to none."""
+    written(building.parent, "desk.obj", "v 0.4 0.4 0.5\nv 0.6 0.4 0.5\nv 0.6 0.6 0.5\nv 0.4 0.6 0.5\nf 1 2 3 4\n")
+    patches = read_patches(building, obstacles=["desk.obj"])
+    assert list(patches.zones) == 6 * ["Z1"] + 7 * ["Z2"] and not caplog.text
+    factors = etendue.compute_form_factors(patches, "exact").factors
+    floor, roof = (list(factors.name).index(name) for name in ("Z1:Floor", "Z1:Roof"))
+    assert factors.matrix[floor, roof] < PLATES - 0.01 and factors.dark[roof] > 0.01
+    assert read_patches(building, more=["desk.obj"]).zones is None
+    assert "its zones are not kept beside a further file that has none" in caplog.text
+
+
 def test_what_is_in_the_file(building, capsys):
     assert main(["info", str(building), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -102,6 +102,12 @@ def read_patches(
     if more or obstacles:
         hidden = [_read(Path(name)) for name in obstacles]
         mesh = joined_files(files, hidden, is_reflectance_given=reflectance is not None)
+        if lost := [name for name in _ZONES if name in files[0][1].names and name not in mesh.names]:
+            logger.warning(
+                "%s: its %ss are not kept beside a further file that has none: give that as an obstacle (--obstacles), "
+                "or surfaces of all see each other through gaps",
+                *(path, lost[0]),
+            )
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
