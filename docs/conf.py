@@ -194,6 +194,7 @@ CONTENTS = contents()
 _ACCESSIBLE = (
     (re.compile(r"<pre>"), '<pre tabindex="0">'),
     (re.compile(r"<pre (?=id=)"), '<pre tabindex="0" '),
+    (re.compile(r'<div (?=class="table-wrapper)'), '<div tabindex="0" '),
     (re.compile(r'<aside class="sidebar-drawer">'), '<aside class="sidebar-drawer" aria-label="Pages">'),
     (re.compile(r'<aside class="toc-drawer'), '<aside aria-label="On this page" class="toc-drawer'),
     (re.compile(r'<th class="head"><p></p></th>'), '<td class="head"></td>'),

@@ -91,6 +91,7 @@ def test_pages_for_screen_readers(conf):
     table = '<th class="head"><p></p></th><th class="head"><p>lines</p></th>'
     assert conf.accessible(table) == '<td class="head"></td><th class="head"><p>lines</p></th>'
     assert conf.accessible('<pre id="a">x</pre><pre>y</pre>').count('tabindex="0"') == 2
+    assert conf.accessible('<div class="table-wrapper a">') == '<div tabindex="0" class="table-wrapper a">'
     signature = '<dl>\n<dd><em class="sig-param">scene</em>,</dd>\n</dl>\n<dl>\n<dt>a</dt>\n<dd>b</dd>\n</dl>'
     found = conf.accessible(signature)
     assert "<dl>\n<dt>a</dt>\n<dd>b</dd>\n</dl>" in found and found.count("<dd>") == 1 and "scene</em>,</div>" in found
