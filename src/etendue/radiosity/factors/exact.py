@@ -19,6 +19,7 @@ from ..compiling import compiled
 from ..errors import RadiosityError
 from ..lines.abuffer import ABuffer
 from ..lines.engine import warn_of_backs
+from .contacts import Contacts, quadrilaterals, refusal
 from .formfactors import FormFactors, numbers_of
 from .occluders import Index, Occluders, occluders
 
@@ -34,6 +35,8 @@ _PILOT, _RUN = 200_000, 8
 _TASKS = 128
 #: Error of form factors between distant patches that see all of each other: a share of the tolerance, at least this.
 _OF_TOLERANCE, _LEAST = 0.01, 1e-8
+#: Areas in contact are the same if they differ by less, in squares of the radius: slivers are left out.
+_SAME_AREA = 1e-4
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
 _CLOSED = 1e-6
 
@@ -61,6 +64,7 @@ def exact_form_factors(
     tasks = _tasks(pairs.sides.patch, n)
     for k, _ in enumerate(in_order(partial(pairs.integrate, rows, exchange, errors) for rows in tasks)):
         tell(f"integrating, {100 * k // len(tasks)} %")
+    exchange += pairs.touching
     exchange *= pairs.radius**2
     errors *= pairs.radius**2
     dark = exchange[:n, n] / patches.divisors
@@ -102,6 +106,7 @@ class _Pairs:
     sides: Any
     occluders: Occluders
     faces: Index
+    touching: Any
     radius: float
     tolerance: float
 
@@ -128,21 +133,54 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
             f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
             "or without --exact)"
         )
-    if len(patches.coincident.pairs):
-        upper, lower = patches.coincident.pairs[0]
-        raise RadiosityError(
-            f"faces {upper} and {lower} lie on each other, which exact form factors cannot tell apart: remove one, or "
-            "cast lines (ABuffer, or without --exact)"
-        )
     centre, radius = patches.sphere
     corners = (patches.vertices[patches.faces] - centre) / radius
     planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
+    contacts = Contacts.of(patches, corners, planes)
+    corners, planes = contacts.corners, contacts.planes
     faces, patch, turned = _sides(patches, _backs_are_seen(patches))
-    shapes, of = corners[faces], planes[faces]
+    shapes, kept = _uncovered(contacts, faces, turned)
+    faces, patch, turned = faces[kept], patch[kept], turned[kept]
+    of = planes[faces]
     shapes[turned], of[turned] = shapes[turned, ::-1], -of[turned]
     distances = rules.least_distances(max(_OF_TOLERANCE * tolerance, _LEAST))
     sides = loops.Sides(shapes, of, patch, _balls(shapes), rules.nodes_of(shapes), distances)
-    return _Pairs(loops, sides, occluders(corners, planes), faces, radius, tolerance)
+    touching = _touching(patches, contacts)
+    return _Pairs(loops, sides, occluders(corners, planes), faces, touching, radius, tolerance)
+
+
+def _uncovered(contacts: Contacts, faces: Index, turned: NDArray[np.bool_]) -> tuple[Array, Index]:
+    """Polygons (s, 4, 3) that sides consist of where nothing lies on them, and the side that each belongs to."""
+    shapes, count = list(contacts.corners[faces, None]), np.ones(len(faces), np.int64)
+    for k in np.flatnonzero(np.isin(faces, list(contacts.partners))):
+        face, front = int(faces[k]), not turned[k]
+        if contacts.covered(face, front):
+            parts = [quad for part in contacts.uncovered(face, front)[0] for quad in quadrilaterals(part)]
+            shapes[k], count[k] = np.array(parts).reshape(-1, 4, 3), len(parts)
+    return np.concatenate(shapes), np.repeat(np.arange(len(faces)), count)
+
+
+def _touching(patches: Patches, contacts: Contacts) -> Any:
+    """A F (n + 1, n + 1) of sides in contact; those of two patches in two halves, which are added.
+
+    Raises :class:`RadiosityError` if the faces in one place have no order."""
+    n, of = len(patches), {True: patches.front, False: patches.back}
+    areas = {}
+    for face in contacts.partners:
+        for front in (True, False):
+            if of[front][face] >= 0 and contacts.covered(face, front):
+                for cover in contacts.uncovered(face, front)[1]:
+                    areas[face, front, cover.face] = cover.area
+    rows, columns, values = [], [], []
+    for (face, front, other), area in areas.items():
+        theirs = contacts.facing_front(face, front, other)
+        i, j = of[front][face], of[theirs][other]
+        if j >= 0 and abs(areas.get((other, theirs, face), 0.0) - area) > _SAME_AREA:
+            raise RadiosityError(refusal(patches, face, other, "and on others, in no order"))
+        rows.append(i)
+        columns.append(j if j >= 0 else n)
+        values.append(area / 2 if j >= 0 else area)
+    return sparse().coo_array((values, (rows, columns)), (n + 1, n + 1)).toarray() if values else 0.0
 
 
 def _backs_are_seen(patches: Patches) -> bool:
