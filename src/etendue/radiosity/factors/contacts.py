@@ -116,18 +116,18 @@ class _Stacks:
         for a, b in pairs:
             if flat[a] and flat[b] and self._are_opposite(a, b):
                 self._decide(a, b, False)
-        places = [self._place(a, b) for a, b in pairs]
-        known = [k for k, pair in enumerate(pairs) if pair not in self.in_front and places[k] is not None]
-        points = np.array([places[k][0] for k in known]).reshape(-1, 3)
-        normals = np.array([planes[pairs[k][0], :3] for k in known]).reshape(-1, 3)
+        found = {(a, b): self._place(a, b) for a, b in pairs if (a, b) not in self.in_front}
+        places = {pair: place for pair, place in found.items() if place is not None}
+        points = np.array([point for point, _ in places.values()]).reshape(-1, 3)
+        normals = np.array([planes[a, :3] for a, _ in places]).reshape(-1, 3)
         seen = compiled("factors.openness").openness(points, normals, corners, planes, self.is_sided)
+        states = dict(zip(places, np.sign(seen).tolist(), strict=True))
         # Places of few faces tell more.
-        for k in sorted(range(len(known)), key=lambda k: len(places[known[k]][1])):
-            a, b = pairs[known[k]]
-            stack = places[known[k]][1]
+        for a, b in sorted(places, key=lambda pair: len(places[pair][1])):
+            _, stack = places[a, b]
             if len(stack) > _MOST:
                 self._refuse(a, b, f"with {len(stack) - 2} others")
-            order = self._best(stack, np.sign(seen[k]).tolist())
+            order = self._best(stack, states[a, b])
             self._decide(a, b, order.index(b) < order.index(a))
 
     def _refuse(self, a: int, b: int, why: str) -> None:

@@ -35,6 +35,8 @@ _PILOT, _RUN = 200_000, 8
 _TASKS = 128
 #: Error of form factors between distant patches that see all of each other: a share of the tolerance, at least this.
 _OF_TOLERANCE, _LEAST = 0.01, 1e-8
+#: Vertices are behind a plane if they are further behind than this, in radii of the scene: a rounded one.
+_BEHIND = 3e-6
 #: Areas in contact are the same if they differ by less, in squares of the radius: slivers are left out.
 _SAME_AREA = 1e-4
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
@@ -52,11 +54,15 @@ def exact_form_factors(
     closed form from points of the smaller patch: from some of Sobol's sequence, as many as the tolerance needs for the
     size of the form factor, or from those of triangles that are divided where they differ. ``errors`` has estimates.
 
-    Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of
-    backs of faces; deficits below 1e-6, or below the errors of the row, are left.
+    Faces that are partly behind each other's plane are clipped. Where faces lie on each other, what is covered is not
+    seen, and sides in contact see each other: a box and the floor, but not rooms that share a wall, nor the sides of a
+    thin plate. Of faces that face the same way, such as a door on a wall, the smaller one is in front. The deficit of a
+    row sum is the share of the sky and of backs of faces; deficits below 1e-6, or below the errors of the row, are
+    left.
 
-    Raises :class:`RadiosityError` if a face lies on another, if more pieces of a face are seen between others than
-    there is room for, and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
+    Raises :class:`RadiosityError` for sheets with two sides on each other, for faces in one place that have no order,
+    if more pieces of a face are seen between others than there is room for, and for more patches than fit into memory:
+    use lines (:class:`ABuffer`) then.
     :class:`etendue.core.BackendError` without Numba.
     """
     pairs, n = _pairs(patches, tolerance), len(patches)
@@ -100,7 +106,7 @@ def exact_seconds(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> float
 
 @dataclass(frozen=True)
 class _Pairs:
-    """All pairs of the sides of patches, in radii of the scene."""
+    """All pairs of the sides of patches, in radii of the scene; ``faces``: their numbers."""
 
     loops: Any
     sides: Any
@@ -146,7 +152,7 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
     distances = rules.least_distances(max(_OF_TOLERANCE * tolerance, _LEAST))
     sides = loops.Sides(shapes, of, patch, _balls(shapes), rules.nodes_of(shapes), distances)
     touching = _touching(patches, contacts)
-    return _Pairs(loops, sides, occluders(corners, planes), faces, touching, radius, tolerance)
+    return _Pairs(loops, sides, occluders(corners, planes), patches.numbers[faces], touching, radius, tolerance)
 
 
 def _uncovered(contacts: Contacts, faces: Index, turned: NDArray[np.bool_]) -> tuple[Array, Index]:
@@ -229,18 +235,30 @@ def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
     corners = place[patches.faces]
     faulty = place[np.concatenate([found.open_edges, found.crowded_edges, found.flipped_edges]).ravel()]
     hidden = np.zeros(len(corners), dtype=bool)
-    points = patches.vertices[patches.faces]
+    centre, radius = patches.sphere
+    points = (patches.vertices[patches.faces] - centre) / radius
     for k in np.unique(part):
         ours = part == k
         if np.isin(corners[ours], faulty).any() or (patches.back[ours] >= 0).any():
             continue
-        surface, others = points[ours], points[~ours].reshape(-1, 3)
+        surface, others = points[ours], points[~ours]
         vectors, _ = face_vectors(patches.vertices, patches.faces[ours])
-        outward = (vectors * surface.mean(axis=1)).sum() > 0
-        low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
-        inside = ((others > low) & (others < high)).all(axis=1)
-        hidden[ours] = not inside.any() if outward else inside.all()
+        if (vectors * surface.mean(axis=1)).sum() > 0:
+            low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
+            is_apart = (others.min(axis=1) >= high) | (others.max(axis=1) <= low)
+            hidden[ours] = is_apart.any(axis=1).all()
+        else:
+            hidden[ours] = not len(others) or _are_before(points.reshape(-1, 3), surface[:, 0], vectors)
     return hidden
+
+
+def _are_before(vertices: Array, points: Array, vectors: Array) -> bool:
+    """Whether no vertex is behind any of the planes through ``points`` (k, 3) along ``vectors`` (k, 3)."""
+    normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    heights = (normals * points).sum(axis=1, keepdims=True)
+    planes = np.unique(np.round(np.hstack([normals, heights]), 6), axis=0)
+    vertices = np.unique(vertices, axis=0)
+    return all((vertices @ plane[:3] - plane[3] > -_BEHIND).all() for plane in planes)
 
 
 def _tasks(patch: Index, n: int) -> list[Index]:
