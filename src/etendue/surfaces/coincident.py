@@ -89,7 +89,7 @@ class Coincident:
         if len(self.clashing) and not self._is_told:
             self._is_told = True
             logger.warning(
-                "%s; it is arbitrary which of them receives the light (of exact form factors, the smaller one): cut the "
+                "%s; it is arbitrary which of them receives the light (of exact form factors, the smaller): cut the "
                 "lower one, or remove one",
                 self.named(patches),
             )

@@ -10,13 +10,15 @@ from itertools import combinations, permutations
 import numpy as np
 
 from etendue.core import Array
-from etendue.surfaces import Patches
+from etendue.surfaces import Patches, surfaces_of
 
 from ..compiling import compiled
 from ..errors import RadiosityError
 
 #: Polygons that are not wider than this do not count, in radii of the scene.
 _THIN = 1e-6
+#: A surface is flat if its corners are this close to a plane, in radii of the scene: a few times rounding.
+_FLAT = 3e-6
 #: Most faces in one place.
 _MOST = 6
 #: Places that are tried in the overlap of two faces: so far from its middle to its corners.
@@ -54,9 +56,9 @@ class Contacts:
         """Find which of the faces that lie on each other is in front.
 
         Along any line air and solids take turns, and rays find which of them is on both sides. Fronts are in contact
-        where solids touch, such as a box and the floor; backs, where rooms share a wall, and in thin plates. Of faces
-        that face the same way, such as a door on a wall, the smaller one is in front, or the first of equals, where
-        nothing else tells. Sheets and obstacles are in the air.
+        where solids touch, such as a box and the floor; backs, where rooms share a wall, and in thin plates. Sheets
+        with two sides and obstacles are in the air; there may be anything behind a surface that is flat. Where this
+        leaves a choice, the smaller one is in front, such as a door on a wall, or the first of equals.
 
         Raises :class:`RadiosityError` for sheets on each other, and for too many faces in one place.
         """
@@ -104,6 +106,7 @@ class _Stacks:
     def __init__(self, patches: Patches, corners: Array, planes: Array) -> None:
         self.patches, self.corners, self.planes = patches, corners, planes
         self.is_sided = (patches.back < 0) & (patches.front >= 0)
+        self.is_flat = _are_flat(patches, corners, planes)
         self.in_front: dict[tuple[int, int], bool] = {}
         self._partners: dict[int, set[int]] = defaultdict(set)
         pairs: list[tuple[int, int]] = list(map(tuple, patches.coincident.pairs.tolist()))
@@ -164,19 +167,26 @@ class _Stacks:
     def _cost(self, order: tuple[int, ...], up: dict[int, bool], seen: Sequence[int]) -> float:
         cost, state = 0.0, seen[0]
         for k in order:
-            before, after = ((1, -1) if up[k] else (-1, 1)) if self.is_sided[k] else (1, 1)
-            cost += _TURNS * (state == -before)
+            before, after = self._states(k, up[k])
+            cost += _TURNS * (before * state < 0)
             state = after
-        cost += _TURNS * (state == -seen[1])
+        cost += _TURNS * (state * seen[1] < 0)
         for above, below in combinations(order, 2):
             known = self.in_front.get((below, above))
             cost += _KNOWN * (known is not None and known != up[below])
-            if up[above] == up[below]:
-                front, rear = (above, below) if up[above] else (below, above)
-                cost += _SIZE * (self._size(front) > self._size(rear))
-            else:
+            if self.is_sided[above] and self.is_sided[below] and up[above] != up[below]:
                 cost += _CONTACT * (up[above] == (-1 in seen))
+            elif self.is_sided[above] or self.is_sided[below]:
+                small, large = sorted((above, below), key=self._size)
+                cost += _SIZE * ((small == above) != up[small if self.is_sided[small] else large])
         return cost
+
+    def _states(self, face: int, up: bool) -> tuple[int, int]:
+        """What must be before a face and behind it, in front of it if it is ``up``: anything (0) behind a plate."""
+        if not self.is_sided[face]:
+            return 1, 1
+        back = 0 if self.is_flat[face] else -1
+        return (1, back) if up else (back, 1)
 
     def _size(self, face: int) -> tuple[float, int]:
         """Of equal faces, the first one counts as the smaller."""
@@ -216,6 +226,15 @@ def _in_common_planes(patches: Patches, corners: Array, planes: Array) -> tuple[
         corners[face] -= (corners[face] @ plane[:3] - plane[3])[:, None] * plane[:3]
         planes[face] = plane if planes[face, :3] @ plane[:3] > 0 else -plane
     return corners, planes
+
+
+def _are_flat(patches: Patches, corners: Array, planes: Array) -> dict[int, bool]:
+    """Whether all faces of the connected surface of a face that lies on others are in its plane."""
+    part, flat = surfaces_of(patches), {}
+    for face in np.unique(patches.coincident.pairs).tolist():
+        heights = corners[part == part[face]] @ planes[face, :3] - planes[face, 3]
+        flat[face] = bool(np.abs(heights).max() < _FLAT)
+    return flat
 
 
 def _turned(polygon: Array, normal: Array, plane: Array) -> Array:
