@@ -103,6 +103,26 @@ def test_three_faces_in_one_place(first):
         np.testing.assert_allclose(matrix[np.ix_(there, there)], matrix_of(rooms[0])[0], atol=1e-9)
 
 
+def test_a_cupboard_that_covers_whole_patches_of_a_shared_wall():
+    """Nothing but the rest of the walls tells which of them is behind which."""
+    rooms, body = [box((k, 0, 0), (k + 1, 1, 1), 4, inward=True) for k in range(2)], box((1, 0.25, 0), (1.5, 0.75, 1))
+    matrix, _ = matrix_of(*rooms, body, tolerance=1e-3)
+    other = matrix_of(rooms[0])[0]
+    np.testing.assert_allclose(matrix[:96, :96], other, atol=1e-9)
+    assert not matrix[:96, 96:].any() and matrix[192:, 96:192].sum() > 1
+
+
+def test_boxes_from_the_floor_to_the_ceiling():
+    """By lines, too, of which some meet nothing but faces that lie on each other."""
+    bodies = [box((1, 1, k), (2, 2, k + 1)) for k in range(2)]
+    patches = Patches(*joined(box((0, 0, 0), (3, 3, 2), 1, inward=True), *bodies))
+    engines = ABuffer(patches), ABuffer(patches, backend="drjit")
+    for factors in exact_form_factors(patches), *(form_factors(engine.cast(256)) for engine in engines):
+        matrix = factors.matrix.toarray()
+        np.testing.assert_allclose(matrix[[6 + TOP, 12 + BOTTOM], [12 + BOTTOM, 6 + TOP]], 1, atol=1e-9)
+        assert not factors.sky.any() and not factors.dark.any()
+
+
 def door(gap, away=False):
     """On the wall y = 0 of a cube, seen from inside, or turned to the wall."""
     vertices, faces = square((0.3, gap, 0), (0, 0, 0.5), (0.4, 0, 0))

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 import numpy as np
 
-from etendue.core import Array
+from etendue.core import Array, sparse
 from etendue.surfaces import Patches, surfaces_of
 
 from ..compiling import compiled
 from ..errors import RadiosityError
+from .occluders import Index
 
 #: Polygons that are not wider than this do not count, in radii of the scene.
 _THIN = 1e-6
@@ -23,9 +24,10 @@ _FLAT = 3e-6
 _MOST = 6
 #: Places that are tried in the overlap of two faces: so far from its middle to its corners.
 _OUTWARD = (0.9, 0.5)
-#: Costs of an order of faces that breaks a known one, of air or solids that do not take turns, of a large face in front
-#: of a small one, and of backs in contact near a solid, or fronts in contact without one.
-_KNOWN, _TURNS, _SIZE, _CONTACT = 1000.0, 30.0, 1.0, 0.01
+#: Costs of an order of faces that breaks a known one, of air or solids that do not take turns, of surfaces that go
+#: through each other, of a large face in front of a small one, and of backs in contact near a solid, or fronts in
+#: contact without one.
+_KNOWN, _TURNS, _BODY, _SIZE, _CONTACT = 1e5, 1e3, 30.0, 1.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,7 @@ class _Stacks:
         self.patches, self.corners, self.planes = patches, corners, planes
         self.is_sided = (patches.back < 0) & (patches.front >= 0)
         self.is_flat = _are_flat(patches, corners, planes)
+        self.bodies = _bodies(patches, corners, planes)
         self.in_front: dict[tuple[int, int], bool] = {}
         self._partners: dict[int, set[int]] = defaultdict(set)
         pairs: list[tuple[int, int]] = list(map(tuple, patches.coincident.pairs.tolist()))
@@ -146,14 +149,19 @@ class _Stacks:
     def _place(self, a: int, b: int) -> tuple[Array, list[int]] | None:
         """A point where two faces overlap, with few others, and all faces there, the first face first."""
         normal = self.planes[a, :3]
-        overlap = _overlap(ring(self.corners[a]), _turned(ring(self.corners[b]), normal, self.planes[b]), normal)
+        shapes = {k: _turned(ring(self.corners[k]), normal, self.planes[k]) for k in (a, b)}
+        overlap = _overlap(shapes[a], shapes[b], normal)
         if overlap is None:
             return None
+        near = sorted((self._partners[a] | self._partners[b]) - {a, b})
+        parts = [overlap]
+        for k in near:
+            shape = _turned(ring(self.corners[k]), normal, self.planes[k])
+            parts = [left for part in parts for left in _difference(part, shape, normal)[0]]
+        if parts:
+            return max(parts, key=compiled("factors.occlusion").polygon_area).mean(axis=0), [a, b]
         middle = overlap.mean(axis=0)
         points = [middle, *(middle + share * (corner - middle) for share in _OUTWARD for corner in overlap)]
-        near = sorted((self._partners[a] | self._partners[b]) - {a, b})
-        if not near:
-            return middle, [a, b]
         stacks = [[a, b, *(k for k in near if _contains(self.corners[k], self.planes[k], x))] for x in points]
         best = min(range(len(points)), key=lambda k: len(stacks[k]))
         return points[best], stacks[best]
@@ -174,6 +182,7 @@ class _Stacks:
         for above, below in combinations(order, 2):
             known = self.in_front.get((below, above))
             cost += _KNOWN * (known is not None and known != up[below])
+            cost += _BODY * (self._body(above, up) < 0 < self._body(below, up))
             if self.is_sided[above] and self.is_sided[below] and up[above] != up[below]:
                 cost += _CONTACT * (up[above] == (-1 in seen))
             elif self.is_sided[above] or self.is_sided[below]:
@@ -187,6 +196,10 @@ class _Stacks:
             return 1, 1
         back = 0 if self.is_flat[face] else -1
         return (1, back) if up else (back, 1)
+
+    def _body(self, face: int, up: dict[int, bool]) -> int:
+        """1 if the surface of a face goes on above it, -1 if below; 0 if on both sides, or on none."""
+        return int(self.bodies[face]) * (1 if up[face] else -1)
 
     def _size(self, face: int) -> tuple[float, int]:
         """Of equal faces, the first one counts as the smaller."""
@@ -235,6 +248,31 @@ def _are_flat(patches: Patches, corners: Array, planes: Array) -> dict[int, bool
         heights = corners[part == part[face]] @ planes[face, :3] - planes[face, 3]
         flat[face] = bool(np.abs(heights).max() < _FLAT)
     return flat
+
+
+def _bodies(patches: Patches, corners: Array, planes: Array) -> Index:
+    """(f,) where the surface that a face belongs to goes on, across its edges and those of its neighbours in the same
+    plane: 1 in front of the face, -1 behind it, 0 for both or none."""
+    _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
+    of_edge: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for face, ends in enumerate(place.reshape(-1)[patches.faces].tolist()):
+        for start, end in zip(ends, [*ends[1:], ends[0]], strict=True):
+            if start != end:
+                of_edge[start, end].append(face)
+    beside, goes_on = [], np.zeros((len(corners), 2), bool)
+    for (start, end), faces in of_edge.items():
+        for face, other in product(faces, of_edge.get((end, start), ())):
+            heights = corners[other] @ planes[face, :3] - planes[face, 3]
+            if np.abs(heights).max() > _FLAT:
+                goes_on[face, int(heights.sum() < 0)] = True
+            elif planes[face, :3] @ planes[other, :3] > 0:
+                beside.append((face, other))
+    count, pairs = len(corners), np.array(beside, np.int64).reshape(-1, 2).T
+    from scipy.sparse.csgraph import connected_components
+
+    _, panel = connected_components(sparse().coo_array((np.ones(pairs.shape[1]), tuple(pairs)), (count, count)))
+    before, behind = (np.bincount(panel, side)[panel] > 0 for side in goes_on.T)
+    return before.astype(np.int64) - behind
 
 
 def _turned(polygon: Array, normal: Array, plane: Array) -> Array:
