@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from etendue.points import OwenSobol
-from etendue.radiosity import ABuffer, Patches, box, exact_form_factors, form_factors
+from etendue.radiosity import ABuffer, Patches, RadiosityError, box, exact_form_factors, form_factors
 from etendue.surfaces import PatchError
 
 #: Half the least gap, beside sizes of some tenths and more.
@@ -22,8 +22,8 @@ GAP = 2e-5
 RAYS = 1500
 #: Tolerance of exact form factors, and bundles of lines.
 TOLERANCE, BUNDLES = 1e-3, 256
-FAST = settings(max_examples=12, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
-SLOW = settings(FAST, max_examples=300)
+FEW = settings(max_examples=10, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+MORE, MANY = settings(FEW, max_examples=40), settings(FEW, max_examples=250)
 
 
 def monte_carlo(patches, seed):
@@ -161,7 +161,11 @@ def check(mesh, place):
         assert re.search(r"the first is face \d+|face \d+ crosses itself", str(error))
         return
     wanted = monte_carlo(apart, 1)
-    n, found = len(patches), [exact_form_factors(patches, TOLERANCE)]
+    try:
+        n, found = len(patches), [exact_form_factors(patches, TOLERANCE)]
+    except RadiosityError as error:
+        assert re.search(r"faces \d+ and \d+", str(error))
+        return
     if not len(patches.coincident.clashing):  # else a warning says that it is arbitrary
         found.append(form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(BUNDLES, warn=False)))
     for factors in found:
@@ -176,19 +180,19 @@ def check(mesh, place):
 
 
 @given(mesh=rooms(), place=places())
-@FAST
+@FEW
 def test_rooms_with_boxes(mesh, place):
     check(mesh, place)
 
 
 @given(mesh=polygons(), place=places())
-@FAST
+@MORE
 def test_polygons(mesh, place):
     check(mesh, place)
 
 
 @pytest.mark.slow
 @given(mesh=st.one_of(rooms(), polygons()), place=places())
-@SLOW
+@MANY
 def test_many_meshes(mesh, place):
     check(mesh, place)
