@@ -170,7 +170,9 @@ def check(mesh, place):
         found.append(form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(BUNDLES, warn=False)))
     for factors in found:
         shares = np.column_stack([factors.matrix.toarray(), factors.sky, factors.dark])
-        spread = np.sqrt(np.maximum(np.maximum(wanted, shares) * (1 - wanted), 2 / RAYS) / RAYS)
+        spread = np.sqrt(
+            np.maximum.reduce([wanted * (1 - wanted), shares * (1 - shares), 0 * shares + 2 / RAYS]) / RAYS
+        )
         errors = np.zeros((n, n + 2))
         errors[:, :n] = factors.errors.toarray()
         errors[:, n:] = factors.row_errors()[:, None]
