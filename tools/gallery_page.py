@@ -3,11 +3,14 @@
 python tools/gallery_page.py              writes the page, and the pictures that it lacks
 python tools/gallery_page.py NAME...      renders the pictures of these scenes again; methods: those of the methods
 
+Files of public scenes are looked for in the folder of the environment variable PUBLIC_SCENES.
+
 The pictures are made by the commands of the page, as long as these last, and reduced to a width of 320 pixels.
 """
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
 import sys
@@ -68,25 +71,28 @@ it; `vcm` also connects, and weights both.
 
 """
 
-PUBLIC = """
-## Public scenes
-
-The benchmarks also use these; get them where they are published, and give the path of the file.
-
-| scene | published by | command |
-|---|---|---|
-| Cornell Box | [Bitterli] | `etendue render cornell-box/scene.xml -o picture.png` |
-| Veach, Bidir Room | [Bitterli] | `etendue render veach-bidir/scene.xml --method bpt --time 5m -o picture.png` |
-| Water Caustic | [Bitterli] | `etendue render water-caustic/scene.xml --method vcm --time 5m -o picture.png` |
-| The Grey & White Room | [Bitterli] | `etendue render grey-white-room/scene.xml --time 5m -o picture.png` |
-| The Wooden Staircase | [Bitterli] | `etendue render wooden-staircase/scene.xml --time 5m -o picture.png` |
-
+#: Public scenes by the names of their pictures: (title, author, where it is published, method, file, size).
+PUBLIC = {
+    "bidir-room": ("Bidir Room", "B. Bitterli, E. Veach", "Bitterli", "auto", "veach-bidir/scene.xml", "640x360"),
+    "veach-mis": ("Veach, MIS", "B. Bitterli, E. Veach", "Bitterli", "path", "veach-mis/scene.xml", "640x360"),
+    "water-caustic": ("Water Caustic", "Benedikt Bitterli", "Bitterli", "vcm", "water-caustic/scene.xml", "512x512"),
+    "grey-white-room": ("The Grey & White Room", "Wig42", "Bitterli", "auto", "grey-white-room/scene.xml", "640x360"),
+    "staircase": ("The Wooden Staircase", "Wig42", "Bitterli", "path", "wooden-staircase/scene.xml", "360x640"),
+    "cornell": ("Cornell Box", "Benedikt Bitterli", "Bitterli", "path", "cornell-box/scene.xml", "512x512"),
+    "torus": ("Torus", "Olesya Jakob", "Mitsuba", "vcm", "torus/scene.xml", "640x480"),
+    "cbox": ("Cornell box with two spheres", "the authors of Mitsuba 3", "tutorials", "bpt", "cbox.xml", "512x512"),
+}
+LINKS = """
 [Bitterli]: https://benedikt-bitterli.me/resources/
+[Mitsuba]: https://www.mitsuba-renderer.org/download.html
+[tutorials]: https://github.com/mitsuba-renderer/mitsuba-tutorials/tree/master/scenes
 """
 
 
 def method_of(scene: str) -> str:
     """The method of a scene's picture; raises ``KeyError`` for one without."""
+    if scene in PUBLIC:
+        return PUBLIC[scene][3]
     for method, scenes in METHODS.items():
         if scene in scenes.split():
             return method
@@ -99,7 +105,10 @@ def command_of(scene: str) -> str:
     if method == "lines":
         return f"etendue radiosity {scene} --bundles 256 -o picture.png"
     output = "--for-denoising -o picture.exr" if method in DENOISED else "-o picture.png"
-    return f"etendue render {scene} --method {method} --time 12 {output}"
+    if scene not in PUBLIC:
+        return f"etendue render {scene} --method {method} --time 12 {output}"
+    *_, file, size = PUBLIC[scene]
+    return f"etendue render {file} --method {method} --size {size} --time 60 {output}"
 
 
 def page() -> str:
@@ -112,13 +121,19 @@ def page() -> str:
         text += "|" + "".join(f" [`{name}`](methods/{name}.md) |" for name in row) + "\n"
     text += SEEN
     for name, scene in bundled().items():
-        method = method_of(name)
-        link = "[radiosity by lines](radiosity.md)" if method == "lines" else f"[`{method}`](methods/{method}.md)"
-        about = scene.description[0].upper() + scene.description[1:]
-        denoised = ", denoised" * (method in DENOISED)
-        text += f"## {name}\n\n{about}. By {link}{denoised}:\n\n    {command_of(name)}\n\n"
-        text += f"![{name}](images/gallery/{name}.jpg)\n\n"
-    return text.rstrip() + "\n" + PUBLIC
+        text += f"## {name}\n\n{scene.description[0].upper() + scene.description[1:]}. {shown(name)}"
+    text += "## Public scenes\n\nGet these where they are published; the command is given in their folder.\n\n"
+    for name, (title, author, where, *_) in PUBLIC.items():
+        text += f"### {title}\n\nBy {author}, from [{where}]. {shown(name)}"
+    return text.rstrip() + "\n" + LINKS
+
+
+def shown(name: str) -> str:
+    """Method, command and picture of a scene."""
+    method = method_of(name)
+    link = "[radiosity by lines](radiosity.md)" if method == "lines" else f"[`{method}`](methods/{method}.md)"
+    denoised = ", denoised" * (method in DENOISED)
+    return f"By {link}{denoised}:\n\n    {command_of(name)}\n\n![{name}](images/gallery/{name}.jpg)\n\n"
 
 
 def run(command: str, folder: str) -> None:
@@ -153,9 +168,11 @@ def main(again: list[str]) -> None:
     """Write the page and the pictures that are missing or named."""
     if "methods" in again or not (PICTURES / f"by-{COMPARED[-1]}.jpg").exists():
         write_comparison()
-    for name in bundled():
+    for name in [*bundled(), *PUBLIC]:
         if name in again or not (PICTURES / f"{name}.jpg").exists():
             with tempfile.TemporaryDirectory() as folder:
+                for entry in Path(os.environ["PUBLIC_SCENES"]).iterdir() if name in PUBLIC else ():
+                    Path(folder, entry.name).symlink_to(entry.resolve())
                 run(command_of(name), folder)
                 if method_of(name) in DENOISED:
                     run(DENOISE, folder)

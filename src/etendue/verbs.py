@@ -304,6 +304,7 @@ def compute_form_factors(
     up: str | None = None,
     north: float = 0.0,
     sky_patches: int | None = None,
+    rows: Sequence[str] = (),
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -325,7 +326,8 @@ def compute_form_factors(
     mesh: :class:`etendue.radiosity.Patches`, the path of a mesh file, or a Mitsuba scene in any form that
         :func:`render` takes. Each face is a patch; faces larger than ``max_area`` are subdivided.
     method: ``lines`` through the whole scene; ``spheres``, lines in spheres around ``objects`` and in the whole scene;
-        ``exact``, by integrals, see :func:`etendue.radiosity.exact_form_factors`; or ``auto``, exact or lines: the
+        ``exact``, by integrals, see :func:`etendue.radiosity.exact_form_factors`; ``rays`` from each patch, 4096 or as
+        many as an ``error`` needs, see :func:`etendue.radiosity.local_form_factors`; or ``auto``, exact or lines: the
         faster one to an ``error``, by a measurement; without it exact if it takes at most 10 seconds. ``settings`` are
         those of the method, see ``etendue methods lines``.
     estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
@@ -341,6 +343,8 @@ def compute_form_factors(
         ``sky``; without, ``sky`` is both.
     sky_patches: m for the shares of 144 m^2 + 1 patches of the sky, ``factors.sky_patches``; up is z unless given, and
         ``north`` as for :func:`daylight`. See :func:`etendue.radiosity.sky_parts`.
+    rows: for ``rays``, names of files (``files`` of the patches) whose rows alone are computed, such as a tile of a
+        city; :func:`etendue.radiosity.joined_rows` joins those of all.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles, or 16 to 32 for each patch of the sky.
     save: files for the form factors, in the formats of :func:`etendue.radiosity.save_form_factors`.
@@ -368,6 +372,7 @@ def compute_form_factors(
         up=up,
         north=north,
         sky_patches=sky_patches,
+        rows=(rows,) if isinstance(rows, str) else tuple(rows),
         estimator=estimator,
         outputs=listed(save),
         checkpoint=None if checkpoint is None else Path(checkpoint),

@@ -164,8 +164,9 @@ def folder(tmp_path_factory, variant):
     """The files that the examples of the shell name."""
     meshio = pytest.importorskip("meshio")
     path = tmp_path_factory.mktemp("shell")
-    (path / "scene.xml").write_text(SCENE)
-    (path / "office.xml").write_text(SCENE)
+    for name in {match[1] for command in COMMANDS if (match := re.match(r"etendue \w+ (\S+\.xml)", command))}:
+        (path / name).parent.mkdir(exist_ok=True)
+        (path / name).write_text(SCENE)
     etendue.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     film = {"spp": 2, "size": (8, 6), "bootstrap": 1024}
     etendue.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)
@@ -195,6 +196,15 @@ def folder(tmp_path_factory, variant):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_are_understood(command, folder, monkeypatch, capsys):
+    assert_understood(command, folder, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize("command", _COMMAND.findall((ROOT / "docs" / "index.md").read_text("utf-8")))
+def test_commands_of_the_first_page_need_no_files(command, tmp_path, monkeypatch, capsys):
+    assert_understood(command, tmp_path, monkeypatch, capsys)
+
+
+def assert_understood(command, folder, monkeypatch, capsys):
     """All is read and checked; nothing is rendered."""
     begun, own = [], mi.variant()
 

@@ -120,7 +120,12 @@ def test_another_method_or_scene_is_refused(checkpoint, noise):
         checkpoint.require_scene("xyz")
 
 
-@pytest.mark.parametrize("settings", ['{"max_depth": -1}', '{"max_depth": -1, "samples_per_pass": 1, "old": 2}'])
+def test_a_setting_that_an_older_version_did_not_have_has_its_default(checkpoint, noise):
+    old = replace(checkpoint, settings='{"max_depth": -1}')
+    assert old.settings_of(type(noise)) == noise.Settings()
+
+
+@pytest.mark.parametrize("settings", ['{"max_depth": "1"}', '{"max_depth": -1, "samples_per_pass": 1, "old": 2}'])
 def test_settings_of_another_version_are_refused(checkpoint, noise, settings):
     with pytest.raises(CheckpointError, match=r"made by étendue 1, whose 'noise' has other settings \(.*\)"):
         replace(checkpoint, settings=settings).settings_of(type(noise))

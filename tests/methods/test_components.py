@@ -15,7 +15,7 @@ from support.tables import thinned
 
 from etendue.core import OptionError
 from etendue.film import COMPONENTS, is_variance, variance_of
-from etendue.methods import base, get
+from etendue.methods import base, get, guided
 
 PASSES, SAMPLES = 6, 256
 #: Density estimation with a radius whose bias is far below the noise.
@@ -171,6 +171,14 @@ def test_first_hits_are_recorded_by_the_walk(name, monkeypatch):
         np.testing.assert_allclose(measured.mean(layer), expected / 8.0, rtol=1e-6, err_msg=layer)
     np.testing.assert_allclose(measured.mean("emitted"), measured.mean(), rtol=1e-5, atol=1e-6)
     assert measured.mean().any()
+
+
+def test_first_hits_are_recorded_by_every_part_of_a_pass_in_which_a_guide_learns(monkeypatch):
+    monkeypatch.setattr(guided, "STEP_LANES", 2 * 16 * 12)
+    runner = prepared(hall(), "guided", samples_per_pass=8, aovs=True, max_depth=2)
+    measured, (traced, _) = runner.step(0, 1), runner.first_layers(0, 1, 8)
+    for layer, expected in traced.items():
+        np.testing.assert_allclose(measured.mean(layer), expected / 8.0, rtol=1e-6, err_msg=layer)
 
 
 @pytest.mark.parametrize("name", thinned(("path", "bpt", "sppm", "guided", "vegas", "stratified"), ("path", "bpt")))

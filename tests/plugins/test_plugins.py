@@ -242,7 +242,6 @@ def test_mitsubas_own_plugins_stay(name, own):
     ({"max_dept": 3}, '"max_dept"'),
     ({"max_depth": -5}, "option 'max_depth' must be at least -1"),
     ({"heuristic": "best"}, "option 'heuristic' must be one of balance, power"),
-    ({"hide_emitters": True}, "no 'hide_emitters'"),
 ])  # fmt: skip
 def test_wrong_parameters(wrong, text):
     with pytest.raises(RuntimeError, match=text):

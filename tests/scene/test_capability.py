@@ -126,10 +126,11 @@ def test_refused_elements_are_named(case):
     assert load(scene(**parts), check=False).scene is not None
 
 
-def test_curves(tmp_path):
-    (tmp_path / "hair.txt").write_text("".join(f"0 {t} 0 0.1\n" for t in range(5)))
-    with pytest.raises(UnsupportedError, match=r"shape 'hair' of type 'bsplinecurve'.*mesh"):
-        load(scene(hair={"type": "bsplinecurve", "filename": str(tmp_path / "hair.txt")}))
+def test_ellipsoids():
+    one = {"centers": np.zeros((1, 3)), "scales": np.ones((1, 3)), "quaternions": np.array([[0, 0, 0, 1]])}
+    arrays = {name: mi.TensorXf(values.astype(np.float32)) for name, values in one.items()}
+    with pytest.raises(UnsupportedError, match=r"shape 'blob' of type 'ellipsoids'.*mesh"):
+        load(scene(blob={"type": "ellipsoids", **arrays}))
 
 
 def test_a_lamp_of_another_shape():

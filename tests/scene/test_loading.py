@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.core import OptionError, SceneError
 from etendue.scene import bundled_scene, integrator_of, load, locate
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
@@ -68,19 +68,6 @@ def test_the_integrator_is_known_without_building_the_scene(tmp_path):
     assert integrator_of(scene) == integrator_of(mi.load_dict(scene)) == integrator_of("cornell-box") == "path"
     del scene["integrator"]
     assert integrator_of(scene) == ""
-
-
-def test_hidden_emitters_are_refused():
-    scene = mi.cornell_box()
-    for hidden in (False, True):
-        scene["integrator"] = {"type": "path", "hide_emitters": hidden}
-        for source in (scene, mi.load_dict(scene)):
-            if hidden:
-                with pytest.raises(UnsupportedError, match=r"integrator 'path' of .* has 'hide_emitters'"):
-                    load(source)
-                assert load(source, check=False).integrator == "path"
-            else:
-                assert load(source).integrator_options == {}
 
 
 def test_an_undefined_variable_is_named(tmp_path):

@@ -11,7 +11,7 @@ from etendue.core import format_seconds
 
 from . import options as opt
 from .console import Steps, error_console, note, say
-from .patches import Bundles, Ids, LineSeed, MaxArea, More, Obstacles, Orient, TwoSided, mesh_arguments
+from .patches import Bundles, Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, mesh_arguments
 
 
 def heat(
@@ -73,6 +73,7 @@ def heat(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    periodic: Periodic = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
@@ -94,7 +95,7 @@ def heat(
     console, began = error_console(), clock.perf_counter()
     choose_device(variant, threads)
     files = output or [Path("heat.csv")]
-    given = mesh_arguments(ids, two_sided, orient, more, obstacles)
+    given = mesh_arguments(ids, two_sided, orient, more, obstacles, periodic)
     patches = PatchSource(source=mesh, max_area=max_area, mesh=given).open().patches
     limits = opt.limits(time, error, bundles=bundles)
     with Steps(console, "form factors" if factors is None else "solving"):

@@ -170,16 +170,25 @@ def _describe_factors(product: FormFactorProduct, result: FormFactorResult) -> N
         open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
         _note(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
         return
-    errors = factors.row_errors()
+    describe_factors(factors, f"({'rays' if result.stopped_by == 'rays' else product.estimator})")
+
+
+def describe_factors(factors: FormFactors, of: str) -> None:
+    """Say how many form factors there are, their row sums and their errors."""
+    from etendue.radiosity import known_rows
+
+    errors = factors.row_errors()[known_rows(factors)]
     _note(
-        f"{factors.matrix.nnz} form factors ({product.estimator}), {_rows(factors)}, standard error of a row "
-        f"{errors.mean():.2g} (at most {errors.max():.2g})"
+        f"{factors.matrix.nnz} form factors {of}, {_rows(factors)}, standard error of a row {errors.mean():.2g} "
+        f"(at most {errors.max():.2g})"
     )
 
 
 def _rows(factors: FormFactors) -> str:
-    """The range of row sums, including the sky."""
-    sums = factors.row_sums()[factors.areas > 0]
+    """The range of row sums, including the sky, of the rows that are known."""
+    from etendue.radiosity import known_rows
+
+    sums = factors.row_sums()[known_rows(factors)]
     least, most = f"{sums.min():.7g}", f"{sums.max():.7g}"
     whole = "rows and sky sum to" if (factors.outside > _NO_SKY).any() else "rows sum to"
     return f"{whole} {least}" if least == most else f"{whole} {least} to {most}"

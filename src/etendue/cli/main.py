@@ -38,6 +38,7 @@ from .film_picture import film_picture
 from .heating import heat
 from .inspection.viewing import view
 from .interrupts import leaving
+from .joining import join_factors
 from .measuring import DaylightCommand, MeasureCommand, daylight, measure
 from .particle_maps import app as particles
 from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
@@ -391,6 +392,7 @@ def points(
 
 
 app.command(cls=FactorCommand)(form_factors)
+app.command()(join_factors)
 app.command(cls=SolutionCommand)(radiosity)
 app.command()(point_factors)
 app.command()(sunlight)

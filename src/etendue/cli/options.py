@@ -35,6 +35,13 @@ class Range(NamedTuple):
     high: float | None = None
 
 
+class Lengths(NamedTuple):
+    """Lengths along x and y."""
+
+    x: float
+    y: float
+
+
 @dataclass(frozen=True)
 class Device:
     """Where passes are made: the Mitsuba variant and threads, and a cluster or local worker processes."""
@@ -137,6 +144,17 @@ def parse_range(text: str) -> Range:
         return Range(*(float(end) if end.strip() else None for end in (low, high)))
     except ValueError:
         raise OptionError(f"--range needs LOW:HIGH, such as 0:500, not '{text}'") from None
+
+
+def parse_lengths(text: str) -> Lengths:
+    """Two lengths from ``96,64``. Raises :class:`OptionError`."""
+    words = text.split(",")
+    try:
+        if len(words) != 2:
+            raise ValueError
+        return Lengths(*map(float, words))
+    except ValueError:
+        raise OptionError(f"--periodic needs LX,LY, such as 96,64, or 96,0 for x only, not '{text}'") from None
 
 
 def parse_memory(text: str) -> int:

@@ -88,8 +88,41 @@ Orient = Annotated[
         "--orient", help="Turn the faces of a mesh: outward (of solids) or inward (into rooms).", metavar="SIDE"
     ),
 ]
+Periodic = Annotated[
+    opt.Lengths | None,
+    typer.Option(
+        "--periodic",
+        help="The mesh is one period, so long in x and y, of a city that repeats without end; 0 for no repetition.",
+        parser=opt.parse_lengths,
+        metavar="LX,LY",
+    ),
+]
 LineSeed = Annotated[
     int | None, typer.Option("--seed", help="The same seed gives the same lines; 0 if not given.", metavar="N")
+]
+RowSums = Annotated[bool, typer.Option("--row-sums", help="Every row sums to exactly 1, with the share of the sky.")]
+Reciprocal = Annotated[
+    bool,
+    typer.Option(
+        "--reciprocal",
+        help="A_i F_ij = A_j F_ji exactly; with --row-sums both hold, by the smallest relative change.",
+    ),
+]
+Repair = Annotated[bool, typer.Option("--repair", help="Both --row-sums and --reciprocal.")]
+Threshold = Annotated[
+    float,
+    typer.Option(
+        "--threshold",
+        help="Drop smaller form factors; --row-sums returns their share to the row, otherwise it is missing.",
+        metavar="X",
+    ),
+]
+Groups = Annotated[
+    bool,
+    typer.Option(
+        "--groups",
+        help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
+    ),
 ]
 ObjectsBy = Annotated[
     str | None,
@@ -128,12 +161,14 @@ def mesh_arguments(
     orient: str | None,
     more: list[Path] | None,
     obstacles: list[Path] | None,
+    periodic: opt.Lengths | None = None,
     **named: Any,
 ) -> dict[str, Any]:
     """Arguments of ``read_patches``, with further files where a checkpoint finds them again."""
     files = {"more": more, "obstacles": obstacles}
     further = {name: [str(path.absolute()) for path in some] if some else None for name, some in files.items()}
-    return {"ids": ids, "two_sided": two_sided, "orient": orient, **further, **named}
+    given = {"ids": ids, "two_sided": two_sided, "orient": orient, "periodic": periodic and tuple(periodic)}
+    return {**given, **further, **named}
 
 
 def form_factors(
@@ -149,7 +184,7 @@ def form_factors(
             "--method",
             "-m",
             help="lines through the whole scene; spheres, lines also in spheres around objects; exact, by integrals, "
-            "for some thousand patches; or auto, exact or lines.",
+            "for some thousand patches; rays, from each patch; or auto, exact or lines.",
             metavar="NAME",
         ),
     ] = "lines",
@@ -163,32 +198,11 @@ def form_factors(
             "--estimator", help="F1, F2, F3, F4, reciprocal or pooled; F1, or F4 with spheres.", metavar="NAME"
         ),
     ] = None,
-    row_sums: Annotated[
-        bool, typer.Option("--row-sums", help="Every row sums to exactly 1, with the share of the sky.")
-    ] = False,
-    reciprocal: Annotated[
-        bool,
-        typer.Option(
-            "--reciprocal",
-            help="A_i F_ij = A_j F_ji exactly; with --row-sums both hold, by the smallest relative change.",
-        ),
-    ] = False,
-    repair: Annotated[bool, typer.Option("--repair", help="Both --row-sums and --reciprocal.")] = False,
-    threshold: Annotated[
-        float,
-        typer.Option(
-            "--threshold",
-            help="Drop smaller form factors; --row-sums returns their share to the row, otherwise it is missing.",
-            metavar="X",
-        ),
-    ] = 0.0,
-    groups: Annotated[
-        bool,
-        typer.Option(
-            "--groups",
-            help="Write the factors between groups instead of patches: shapes with a name, or equal numbers of --ids.",
-        ),
-    ] = False,
+    row_sums: RowSums = False,
+    reciprocal: Reciprocal = False,
+    repair: Repair = False,
+    threshold: Threshold = 0.0,
+    groups: Groups = False,
     up: Annotated[
         str | None,
         typer.Option("--up", help="Axis that is up, y or z: the ground is then apart from the sky.", metavar="AXIS"),
@@ -200,6 +214,15 @@ def form_factors(
             "--sky-patches",
             help="Also the shares of the sky's patches: of Tregenza's 145 with 1, of 144 M^2 + 1 with M.",
             metavar="M",
+        ),
+    ] = None,
+    rows: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--rows",
+            help="With -m rays: only the rows of this file, one of those named, such as a tile of a city; repeatable. "
+            "`etendue join-factors` joins the rows of all.",
+            metavar="FILE",
         ),
     ] = None,
     objects: ObjectsBy = None,
@@ -217,6 +240,7 @@ def form_factors(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    periodic: Periodic = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
     seed: LineSeed = None,
@@ -254,12 +278,13 @@ def form_factors(
         up=up,
         north=north,
         sky_patches=sky_patches,
+        rows=tuple(path.stem for path in rows or ()),
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance)),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, periodic, reflectance=quantity(reflectance)),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -370,6 +395,7 @@ def radiosity(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    periodic: Periodic = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
     divide: Annotated[
@@ -488,6 +514,7 @@ def radiosity(
             orient,
             more,
             obstacles,
+            periodic,
             reflectance=quantity(reflectance),
             emission=quantity(emission),
             temperature=quantity(temperature),

@@ -13,7 +13,7 @@ from etendue.core import format_seconds
 from . import options as opt
 from .console import Steps, error_console, note, say
 from .measuring import Cells, Grid, Points, meters_of
-from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, TwoSided, mesh_arguments
+from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, mesh_arguments
 
 
 def point_factors(
@@ -67,6 +67,7 @@ def point_factors(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    periodic: Periodic = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
     param: opt.Param = None,
@@ -89,7 +90,7 @@ def point_factors(
     source = PatchSource(
         source=mesh,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, periodic),
         parameters=opt.parse_pairs(param, "-P"),
     )
     asked = {"up": up, "seed": seed or 0} | ({} if rays is None else {"rays": rays})

@@ -151,6 +151,7 @@ class Checkpoint:
         except OptionError as error:
             raise CheckpointError(f"{self._made_elsewhere()} ({error}); resume it with that one") from error
         saved, here = json.loads(self.settings), settings.to_dict()
+        here = {name: here.get(name) for name in saved}  # the default of a newer setting is what was done before it
         if saved != here:
             raise CheckpointError(f"{self._made_elsewhere()} ({_differences(saved, here)}); resume it with that one")
         asked = settings.from_mapping(saved | dict(given or {}), owner=f"method '{self.method}'")

@@ -158,7 +158,7 @@ class AmbientLight(_Ambient, LightTracing):
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker = self.walker(Walker)
-        path = CameraPath.start(ray, walker.max_edges)
+        path = CameraPath.start(ray, walker.max_edges, hidden=self.visibility.hidden)
         path = walker.walk(path, lambda s: _seen(s, walker, self.ambient, source), "ambient")
         radiance, bad = keep_finite(path.radiance * importance)
         dr.eval(radiance, path.rays, bad)

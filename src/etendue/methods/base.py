@@ -35,7 +35,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, scatters
+from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, one_way, scatters
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -135,6 +135,11 @@ class ImageSettings(Settings):
         "emitted radiance, number of the shape; and, after two passes, the variance of the picture's pixels, estimated "
         "from the passes",
     )
+    hide_emitters: bool = setting(
+        False,
+        "hide lights from the camera, which sees what is behind them, and a black background in place of the "
+        "environment; mirrors and glass show them",
+    )
     components: bool = setting(
         False,
         "add layers of the components of light: emission, direct, caustic and indirect, whose sum is the picture",
@@ -200,6 +205,8 @@ class ImageMethod(Method):
     _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
     #: Participating media that the method renders: "absorbing", "scattering" (both kinds), or None.
     media: ClassVar[str | None] = "absorbing"
+    #: Whether the method renders hair, by camera paths alone: see :func:`etendue.scene.one_way`.
+    one_way: ClassVar[bool] = False
     #: Whether the method renders under variants whose light is not RGB.
     spectral: ClassVar[bool] = False
     #: Whether meters may take the place of a camera: not if photons are merged, of which there are none on meters, nor
@@ -238,12 +245,17 @@ class ImageMethod(Method):
             raise UnsupportedError(
                 f"method '{self.name}' measures nothing at points or in one direction; use path, guided or bpt"
             )
+        if not self.one_way and (curve := one_way(problem.scene)) is not None:
+            raise UnsupportedError(
+                f"{graph.describe(curve, 'shape')} lets light through one way only, so that light paths cannot cross "
+                f"it, which method '{self.name}' needs; use auto, path or guided"
+            )
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
         self.packet = Packet()
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent", self.packet)
         self.lights = LightTable(problem.scene, self.packet)
-        self.visibility = Visibility(problem.scene, problem.sensor, self.packet)
+        self.visibility = Visibility(problem.scene, problem.sensor, self.packet, self.settings.hide_emitters)
         if self.visibility.media is not None:
             self._check_media(problem)
         self._hits: FirstHits | None = None  # of the pass that is being made
@@ -406,6 +418,7 @@ class ImageMethod(Method):
     def path_fields(self) -> dict[str, Any]:
         """Additional fields of the state of a camera path, for ``CameraPath.start``."""
         fields = component_fields() if self.settings.components else {}
+        fields["hidden"] = self.visibility.hidden
         return fields | ({} if self._hits is None else {"through": self._hits.through})
 
     def kept(self, radiance: mi.Spectrum) -> tuple[mi.Color3f, mi.Bool]:
@@ -475,7 +488,7 @@ class ImageMethod(Method):
             ray, _, _ = self.camera.primary(lanes // samples, source)
             recorder = hits.of(lanes, iteration)
             walker = self.walker(Walker, first=recorder)
-            path = CameraPath.start(ray, self.edges, through=recorder.through)
+            path = CameraPath.start(ray, self.edges, through=recorder.through, hidden=self.visibility.hidden)
             walker.walk(path, lambda s: _first_edge(s, walker, source), "first hits")
         found, bad = hits.found()
         layers = self.images(found, seed, hits.iteration, samples)

@@ -108,6 +108,7 @@ class Guided(Carrying, EndsInMap):
     carries_on: ClassVar[bool] = True
     media: ClassVar[str | None] = "scattering"
     spectral: ClassVar[bool] = True
+    one_way = True
     measures: ClassVar[bool] = True
     #: A lot is a pass at most: five generations of training and a pass, if a budget has the samples.
     least_passes = 32

@@ -155,7 +155,7 @@ class LightTracing(Carrying, ImageMethod):
         light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
         u = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
         aperture = self.camera.splat_aperture(source, 1)
-        active &= ~light.is_delta & (self.max_edges() > 0)
+        active &= ~light.is_delta & (self.max_edges() > 0 and not self.settings.hide_emitters)
 
         si = dr.zeros(mi.SurfaceInteraction3f, paths)
         density = mi.Float(light.pick)  # per area; per solid angle from the camera for the environment

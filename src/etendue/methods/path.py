@@ -86,6 +86,7 @@ class Path(EndsInMap):
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
     media: ClassVar[str | None] = "scattering"
     spectral: ClassVar[bool] = True
+    one_way = True
     measures: ClassVar[bool] = True
 
     def full_lanes(self) -> int:

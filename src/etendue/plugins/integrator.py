@@ -15,6 +15,7 @@ from etendue.engine import Budget, RunError, Runner, RunResult
 from etendue.film import COMPONENTS, LONGER, PixelFilter, Technique, is_variance
 from etendue.methods import ImageMethod
 from etendue.scene import Problem
+from etendue.transport import Visibility
 
 from .prepared import Prepared
 
@@ -57,8 +58,6 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
 
         def __init__(self, props: mi.Properties) -> None:
             given = {name: props[name] for name in method.Settings.names() if name in props}
-            if props.get("hide_emitters", False):
-                raise UnsupportedError(f"{method.name} has no 'hide_emitters'; remove it, or hide the emitter's shape")
             self.plugin_name = method.plugin_name()
             self.settings = method.Settings.from_mapping(given, owner=f"integrator '{method.plugin_name()}'")
             self.options = self.settings.to_dict()
@@ -92,6 +91,7 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
                 size=(width, height),
                 spp=int(spp) or int(sensor.sampler().sample_count()),
                 max_depth=self.options["max_depth"],
+                hide_emitters=self.options["hide_emitters"],
                 integrator=method.plugin_name(),
                 integrator_options=dict(self.options),
             )
@@ -226,12 +226,13 @@ def _fill(film: mi.Film, problem: Problem, layers: dict[str, NDArray[np.float32]
 
 
 def _coverage(problem: Problem) -> NDArray[np.float32]:
-    """Coverage of each pixel, for alpha: 1 everywhere if the scene has an environment, as in Mitsuba's 'path'."""
+    """Coverage of each pixel, for alpha: 1 everywhere if the camera sees an environment, as in Mitsuba's 'path'."""
     import drjit as dr
     import mitsuba as mi
 
     width, height = problem.size
-    if problem.scene.environment() is not None:
+    visibility = Visibility(problem.scene, problem.sensor, hides_lights=problem.hide_emitters)
+    if problem.scene.environment() is not None and not problem.hide_emitters:
         return np.ones((height, width, 1), np.float32)
     reconstruction = PixelFilter(problem.sensor.film().rfilter(), width, height)
     covered = mi.Float(0.0)
@@ -242,7 +243,10 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
         place = _alpha_places(first + (lanes - pixel * count))
         position = (mi.Point2f(pixel % width, pixel // width) + place) / mi.Point2f(width, height)
         ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
-        hit = dr.select(problem.scene.ray_test(ray), mi.Float(1.0), 0.0)
+        seen = problem.scene.ray_intersect_preliminary(ray)
+        if (hidden := visibility.hidden) is not None:
+            seen = visibility.past_lamps(seen, ray, hidden)
+        hit = dr.select(seen.is_valid(), mi.Float(1.0), 0.0)
         places = _alpha_places(first + dr.arange(mi.UInt32, count))
         dr.eval(hit, places)
         covered += reconstruction.spread(hit, places.x, places.y)

@@ -185,7 +185,7 @@ def picture_task(
 def scene_settings(method: type[Method], problem: Problem, given: Mapping[str, Any]) -> Settings:
     """The settings of a method: ``given`` ones first, then those of the scene's integrator, then the defaults."""
     known = method.Settings.names()
-    from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
+    from_scene: dict[str, Any] = {"max_depth": problem.max_depth, "hide_emitters": problem.hide_emitters}
     if problem.integrator and problem.integrator in (method.name, method.plugin_name()):
         if unknown := sorted(problem.integrator_options.keys() - set(known)):
             logger.warning(

@@ -77,6 +77,7 @@ from .factors.formfactors import (
 from .factors.gebhart import gebhart_factors as gebhart_factors
 from .factors.groups import between_groups as between_groups, group_index as group_index, row_names as row_names
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
+from .factors.rows import joined_rows as joined_rows, known_rows as known_rows
 from .factors.skyparts import sky_parts as sky_parts
 from .files.colours import coloured_mesh as coloured_mesh
 from .files.conditions import read_conditions as read_conditions
@@ -88,6 +89,7 @@ from .files.factorfiles import (
     factors_of_patches as factors_of_patches,
     no_factors as no_factors,
     read_form_factors as read_form_factors,
+    read_notes as read_notes,
     save_form_factors as save_form_factors,
 )
 from .files.netcdf import read_segments as read_segments, save_segments as save_segments

@@ -154,7 +154,9 @@ class LineCasting(Method):
         self._take_turns()
         if self.memory() < 1:
             raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")
-        emitters = small_emitters(patches, RAYS_PER_SEGMENT) if self._options.shot else np.zeros(len(patches), bool)
+        # A shot aims at patches of one period, not at their repetitions.
+        shoots = self._options.shot and patches.period is None
+        emitters = small_emitters(patches, RAYS_PER_SEGMENT) if shoots else np.zeros(len(patches), bool)
         if emitters.any():
             points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
             self._shot = Shot(self._scene, points, emitters)

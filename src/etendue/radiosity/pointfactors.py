@@ -32,7 +32,7 @@ from etendue.lighting import Meters, compass
 from etendue.points import OwenSobolSource
 from etendue.surfaces import BATCH, Patches, RayScene
 
-from .errors import RadiosityError
+from .errors import RadiosityError, check_up
 from .factors.groups import group_index, row_names
 from .files.factorfiles import no_factors
 
@@ -195,6 +195,7 @@ def point_factors(
         )
     if not is_whole(rays) or not _FEWEST <= rays <= _REPLICATES * BATCH:
         raise RadiosityError(f"a sensor has {_FEWEST} to {_REPLICATES * BATCH} rays, not {rays!r}")
+    check_up(patches, up)
     upward = compass(up)[2]
     use_variant()
     scene = RayScene(patches)

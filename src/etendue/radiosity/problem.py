@@ -30,6 +30,8 @@ class PatchProblem:
         digest = hashlib.blake2b(digest_size=16)
         p = self.patches
         arrays = [p.vertices, p.faces, p.front, p.back, p.labels, p.reflectance, p.emission, p.sky]
+        if p.period is not None:
+            arrays.append(np.array(p.period))
         for array in arrays if self.lamps is None else [*arrays, self.lamps.irradiance]:
             digest.update(str((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()

@@ -36,6 +36,12 @@ from .solvers.shot import FirstShot
 GROUPINGS = ("components", "shapes", "labels")
 #: Arrays of the light of lamps that workers get, and what their names begin with.
 _SHOT, _LAMPS = ("emission", "irradiance", "error", "to_sky", "lost"), "lamps/"
+#: Why a scene does not take arguments of meshes.
+_OF_SCENES = "a scene has its own materials and lights"
+_NOT_OF_SCENES = {
+    "two_sided": "in a scene, materials of type 'twosided' make sheets",
+    "periodic": "save the surfaces of the scene as a mesh",
+}
 #: Suffixes of scenes; all other files are meshes.
 _SCENES = (".xml", "")
 
@@ -87,9 +93,7 @@ class PatchSource:
                 raise OptionError("parameters are for scenes in XML; a mesh file has none")
         else:
             for name in mesh:
-                why = "in a scene, materials of type 'twosided' make sheets"
-                why = why if name == "two_sided" else "a scene has its own materials and lights"
-                raise OptionError(f"{name} is for mesh files; {why}")
+                raise OptionError(f"{name} is for mesh files; {_NOT_OF_SCENES.get(name, _OF_SCENES)}")
         if isinstance(self.objects, str) and self.objects not in GROUPINGS:
             if not self.is_mesh:
                 known = ", ".join(GROUPINGS)

@@ -19,7 +19,7 @@ from etendue.lighting import Suns, compass
 from etendue.points import OwenSobol
 from etendue.surfaces import BATCH, Patches, RayScene, RaySource, Sides
 
-from .errors import RadiosityError
+from .errors import RadiosityError, check_up
 from .lines.abuffer import ABuffer
 from .lines.segments import scatter
 
@@ -76,6 +76,7 @@ def sunlight(
     32 of these lines would meet (small ones, and those at which the rays graze) send 256 rays towards the sun instead.
     Suns below the horizon light nothing. Raises :class:`RadiosityError` if the result does not fit into memory.
     """
+    check_up(patches, up)
     n, k, free = len(patches), len(suns), free_memory()
     if free is not None and _BYTES * n * k > free:
         raise RadiosityError(
@@ -97,7 +98,9 @@ def sunlight(
     for j in risen:
         projected = _projected(patches, ways[j])
         cosine[:, j] = projected / patches.divisors
-        met_by = np.zeros(n) if engine is None else _BUNDLES * projected / engine.bundles.spacing**2
+        met_by = np.zeros(n)
+        if engine is not None:
+            met_by = _BUNDLES * projected * engine.bundles.density(engine.bundles.frames_along(ways[j : j + 1]))
         few = np.flatnonzero((projected > 0) & (met_by < _FEWEST))
         if len(few):
             rays = rays or _Rays(patches, seed)

@@ -38,8 +38,9 @@ _EMITTERS = (
     "sunsky",
     "sky",
 )
-#: Shapes besides meshes. Curves are missing: only rays from outside hit them, so paths are not reversible.
-_SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
+_CURVES = ("bsplinecurve", "linearcurve")
+#: Shapes besides meshes.
+_SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup", *_CURVES)
 #: Shapes that may emit: points on them can be sampled uniformly by area.
 _LAMPS = ("rectangle", "disk", "sphere", "cylinder")
 
@@ -56,7 +57,7 @@ def check(scene: mi.Scene, sensor: mi.Sensor, lit: bool = True) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
     ``lit``: whether it needs an emitter. Supported are perspective, thin-lens, orthographic and spherical sensors;
-    every shape but curves and ellipsoids, emitting from meshes, rectangles, discs, spheres and cylinders; every RGB
+    every shape but ellipsoids, emitting from meshes, rectangles, discs, spheres and cylinders; every RGB
     emitter; every RGB BSDF; textures. Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices)
     is a :class:`SceneError`. Raises :class:`BackendError` under a Mitsuba variant that is not supported.
     """
@@ -73,6 +74,18 @@ def check(scene: mi.Scene, sensor: mi.Sensor, lit: bool = True) -> None:
         raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
     for emitter in scene.emitters():
         _check_emitter(emitter)
+
+
+def one_way(scene: mi.Scene) -> mi.Shape | None:
+    """A shape that light crosses on paths which cannot be reversed, such as hair: only rays from outside hit curves, so
+    that light enters it at a vertex and leaves it at none."""
+    import mitsuba as mi
+
+    through = mi.BSDFFlags.DiffuseTransmission | mi.BSDFFlags.GlossyTransmission | mi.BSDFFlags.DeltaTransmission
+    for shape in shapes(scene):
+        if plugin_name(shape) in _CURVES and shape.bsdf().flags() & through:
+            return shape
+    return None
 
 
 def is_dark(scene: mi.Scene) -> bool:

@@ -20,6 +20,7 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene, check_light
 from .changes.transforms import settle_transforms
+from .curves import extend_curves
 from .graph import name as element_name
 from .lamps.environments import instantiated
 from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
@@ -298,7 +299,7 @@ def _from_parser(
             named = instantiated(config, unmerged)  # for the names of merged meshes
         found = lamps_in_surfaces(named)
     remarks = remarks_on(found)
-    made = _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space, remarks)
+    made = _problem(scene, chosen, integrator, depth, options, name, memory, details, space, remarks)
     return with_own_meter(made)
 
 
@@ -360,6 +361,7 @@ def _from_scene(
         raise SceneError(
             f"the scene was loaded under '{scene.variant_name()}' but '{mi.variant()}' is set; load it again"
         )
+    extend_curves(scene)
     chosen = _sensor(scene, sensor, "the scene")
     warn_of_offsets(scene, chosen, "the scene")
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
@@ -370,7 +372,7 @@ def _from_scene(
     integrator = scene.integrator()
     name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)
     remarks = remarks_on(lamps_in_surfaces(scene)) if check else ()
-    return with_own_meter(_problem(scene, chosen, name, depth, options, "<scene>", memory, "", check, remarks=remarks))
+    return with_own_meter(_problem(scene, chosen, name, depth, options, "<scene>", memory, "", remarks=remarks))
 
 
 def _sensor(scene: mi.Scene, index: int | None, name: str) -> mi.Sensor:
@@ -403,18 +405,12 @@ def _problem(
     name: str,
     memory: int | None,
     details: str,
-    check: bool,
     space: RenderSpace | None = None,
     remarks: tuple[tuple[str, str], ...] = (),
 ) -> Problem:
     width, height = (int(v) for v in sensor.film().crop_size())
     if not 1 <= width * height <= MOST_PIXELS:
         raise SceneError(f"the film of {name} has {width}x{height} pixels; it has at least one and at most 2^30")
-    if options.pop("hide_emitters", False) and check:
-        raise UnsupportedError(
-            f"integrator '{integrator}' of {name} has 'hide_emitters', which is not supported; remove it, or hide the "
-            "emitter's shape"
-        )
     warn_of_lamps(remarks, name)
     return Problem(
         scene=scene,
@@ -422,6 +418,7 @@ def _problem(
         size=(width, height),
         spp=int(sensor.sampler().sample_count()),
         max_depth=depth,
+        hide_emitters=bool(options.pop("hide_emitters", False)),
         integrator=integrator,
         integrator_options=options,
         source=name,

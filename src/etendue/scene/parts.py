@@ -31,7 +31,7 @@ def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, 
         integrator, depth, options = take_integrator(state)
         scene = instantiated(config, state)
     # In the coordinates of the whole scene, not in a render space of the part.
-    return _problem(scene, _sensor(scene, 0, name), integrator, depth, options, name, None, "", check=False)
+    return _problem(scene, _sensor(scene, 0, name), integrator, depth, options, name, None, "")
 
 
 def unmerged(state: Any) -> None:

@@ -21,6 +21,7 @@ class Problem:
     size: tuple[int, int]  #: (width, height) of the picture in pixels: the film's crop window
     spp: int  #: the scene's own sample count per pixel
     max_depth: int = -1  #: longest path of the scene's integrator in edges, -1: unlimited
+    hide_emitters: bool = False  #: of the scene's integrator
     integrator: str = ""  #: plugin name of the scene's integrator, "" if it has none
     integrator_options: dict[str, Any] = field(default_factory=dict)  #: its other plain parameters
     source: str = "<scene>"  #: path or name of the scene, for messages

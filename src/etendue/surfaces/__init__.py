@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .objects import Objects as Objects, find_objects as find_objects
     from .orienting import Orientation as Orientation, orientation as orientation
     from .patches import Patches as Patches
+    from .periods import LEAST_SLOPE as LEAST_SLOPE
     from .places import PatchSurfaces as PatchSurfaces, Place as Place, SurfaceValues as SurfaceValues
     from .rays.raycasting import STEP as STEP, Hits as Hits, RayScene as RayScene
     from .rays.sides import Sides as Sides, across as across, around as around, cosine_law as cosine_law

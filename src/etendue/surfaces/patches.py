@@ -15,6 +15,7 @@ from etendue.scene import warn_of_steps
 from .coincident import Coincident
 from .errors import PatchError
 from .faces import face_vectors, flat_faces
+from .periods import checked_period
 from .subdivision import subdivide
 
 Index = NDArray[np.int64]
@@ -53,9 +54,11 @@ class Patches(InNotebooks):
         without any other face is ``empty``. It has area, reflectance and emission zero, and sees nothing.
     numbers: (m,) numbers of the faces, for ``face``; by default their indices.
     obstacles: indices of faces that only occlude: neither side belongs to a patch, and both are as dark as a back.
+    periodic: the lengths (Lx, Ly) of a domain that is repeated without end along x and y, 0 for no repetition; z is up.
+        The faces are those of one period. What leaves it at a side enters it at the opposite side, at the same height.
 
     Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
-    out of range, a reflectance outside [0, 1], a negative emission.
+    out of range, a reflectance outside [0, 1], a negative emission, faces that exceed the period.
 
     Attributes
     ----------
@@ -70,10 +73,14 @@ class Patches(InNotebooks):
     labels: (n,) the number in ``ids``, or the index of the face; a back has the label of its front.
     shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, to which each patch belongs, -1 for
         none; and the names of the shapes. ``shapes`` is ``None`` if they are not known.
+    period: the lengths of ``periodic``, ``None`` if there is no repetition.
+    files: names of the mesh files of the patches, and the number of the first face of each.
     """
 
     shapes: Index | None = None
     shape_names: tuple[str, ...] = ()
+    period: tuple[float, float] | None = None
+    files: tuple[tuple[str, int], ...] = ()
 
     def __init__(
         self,
@@ -88,6 +95,7 @@ class Patches(InNotebooks):
         left_out: ArrayLike = (),
         numbers: ArrayLike | None = None,
         obstacles: ArrayLike = (),
+        periodic: Sequence[float] | None = None,
     ) -> None:
         self.vertices: Array = _vertices(vertices)
         quads, rows = flat_faces(self.vertices, faces)
@@ -117,6 +125,8 @@ class Patches(InNotebooks):
         self._fronts, self._sheets = fronts, np.flatnonzero(sheets)
         self.labels, self.face = (self._both_sides(x) for x in (self.labels, number[ours][first]))
         self._set_properties(reflectance, emission, sky)
+        if periodic is not None:
+            self.period = checked_period(periodic, *self.bounds)
 
     def _set_properties(self, reflectance: ArrayLike, emission: ArrayLike, sky: ArrayLike) -> None:
         rho = np.where(self.empty[:, None], 0.0, self._spread("reflectance", reflectance, backs=1.0))
@@ -174,6 +184,8 @@ class Patches(InNotebooks):
         if self.shapes is not None:
             known["shapes"] = self.shapes
             known["shape_names"] = np.array(self.shape_names, dtype=str)
+        if self.period is not None:
+            known["period"] = np.array(self.period)
         return known
 
     @classmethod
@@ -185,6 +197,8 @@ class Patches(InNotebooks):
         patches._fronts = int(arrays["_fronts"])
         if "shapes" in arrays:
             patches.shapes, patches.shape_names = arrays["shapes"], tuple(map(str, arrays["shape_names"]))
+        if "period" in arrays:
+            patches.period = float(arrays["period"][0]), float(arrays["period"][1])
         return patches
 
     def __len__(self) -> int:
@@ -325,8 +339,19 @@ class Patches(InNotebooks):
         result._name_as(self, sides)
         return result
 
+    def of_files(self, names: Sequence[str]) -> NDArray[np.bool_]:
+        """(n,) the patches of some of the ``files``. Raises :class:`PatchError` for a name of none, and of several."""
+        known = [name for name, _ in self.files]
+        for name in names:
+            if known.count(name) != 1:
+                what = "there is no file" if name not in known else "there are several files"
+                raise PatchError(f"{what} '{name}' among those of the patches: {', '.join(known)}")
+        number = np.searchsorted([first for _, first in self.files], self.face, side="right") - 1
+        return np.isin(number, [known.index(name) for name in names])
+
     def _name_as(self, other: Patches, patches: Index) -> None:
-        """Take labels and shapes from ``patches`` (n,) of another mesh."""
+        """Take labels and shapes from ``patches`` (n,) of another mesh, its files and its period."""
+        self.period, self.files = other.period, other.files
         self.labels = other.labels[patches]
         self.shapes, self.shape_names = None if other.shapes is None else other.shapes[patches], other.shape_names
 

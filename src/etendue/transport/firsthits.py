@@ -42,8 +42,6 @@ class FirstHits:
     def __init__(self, pixels: int, samples: int, specular: bool, packet: Packet) -> None:
         self._packet = packet
         self.rays = min(samples, _MOST_RAYS)
-        #: Initial :attr:`SubPath.through` of the paths.
-        self.through = mi.Bool(True) if specular else None
         #: Packets of four floats per camera ray: albedo and depth; emission and the packed shading normal; albedo and
         #: packed normal of what is seen.
         self._each = 3 if specular else 2
@@ -54,6 +52,11 @@ class FirstHits:
         self._kept = mi.Bool(True)
         #: Pass whose film positions the rays have.
         self.iteration = 0
+
+    @property
+    def through(self) -> mi.Bool | None:
+        """Initial :attr:`SubPath.through` of paths; a new one each time, because a walk changes that of its paths."""
+        return mi.Bool(True) if self._each == 3 else None
 
     @property
     def recorded(self) -> bool:

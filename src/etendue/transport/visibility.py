@@ -50,10 +50,17 @@ class Sight:
 
 class Visibility:
     """Visibility in one scene, with its geometry at the time of construction. ``transparent``: whether the scene has
-    null surfaces; ``specular``: whether it has these, mirrors or smooth glass; ``sensor``: where camera paths start."""
+    null surfaces; ``specular``: whether it has these, mirrors or smooth glass; ``sensor``: where camera paths start;
+    ``hides_lights``: whether the camera sees no lights, but what is behind them."""
 
-    def __init__(self, scene: mi.Scene, sensor: mi.Sensor | None = None, packet: Packet | None = None) -> None:
-        self.scene = scene
+    def __init__(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor | None = None,
+        packet: Packet | None = None,
+        hides_lights: bool = False,
+    ) -> None:
+        self.scene, self.hides_lights = scene, hides_lights
         #: The wavelengths of light vertices.
         self.packet = packet or Packet()
         #: The participating media; None if there are none.
@@ -79,6 +86,28 @@ class Visibility:
     def volumes(self) -> bool:
         """Whether a medium scatters light, so that vertices may be in media."""
         return self.media is not None and self.media.scatters
+
+    @property
+    def hidden(self) -> mi.Bool | None:
+        """Initial :attr:`SubPath.hidden` of camera paths; a new one each time, because a walk changes that of its
+        paths."""
+        return mi.Bool(True) if self.hides_lights else None
+
+    def past_lamps(
+        self, hit: mi.PreliminaryIntersection3f, ray: mi.Ray3f, hidden: mi.Bool
+    ) -> mi.PreliminaryIntersection3f:
+        """What a ray meets behind lamps that are ``hidden``, if its end ``hit`` is on one."""
+
+        def onwards(passes: mi.Bool, hit: mi.PreliminaryIntersection3f) -> tuple[mi.Bool, mi.PreliminaryIntersection3f]:
+            start = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, passes).spawn_ray(ray.d)
+            start.maxt, moved = ray.maxt - hit.t, dr.dot(start.o - ray.o, ray.d)
+            behind = self.scene.ray_intersect_preliminary(start, active=passes)
+            behind.t += moved
+            hit = dr.select(passes, behind, hit)
+            return passes & hit.is_valid() & is_lamp(hit.shape), hit
+
+        passes = hidden & hit.is_valid() & is_lamp(hit.shape)
+        return dr.while_loop((passes, hit), lambda passes, _: passes, onwards, label="past lamps")[1]
 
     def material(self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f) -> Material:
         """The material at the end of a ray."""
@@ -112,16 +141,23 @@ class Visibility:
         unknown = self.media.is_unknown(medium)
         return dr.select(unknown, medium_at(self.scene, ray, unknown), medium)
 
-    def along(self, ray: mi.Ray3f, crossings: mi.UInt32, active: mi.Bool, medium: mi.UInt32 | None = None) -> Sight:
+    def along(
+        self,
+        ray: mi.Ray3f,
+        crossings: mi.UInt32,
+        active: mi.Bool,
+        medium: mi.UInt32 | None = None,
+        hidden: mi.Bool | None = None,
+    ) -> Sight:
         """What is seen along a shadow ray that starts in ``medium``. ``crossings``: the largest number of null surfaces
-        on the ray that do not bound a medium."""
-        if not self.transparent:
+        on the ray that do not bound a medium; ``hidden``: lanes whose ray passes lamps."""
+        if not self.transparent and hidden is None:
             visible = active & ~self.scene.ray_test(ray, active)
             if self.media is None or medium is None:
                 return Sight(visible)
             return Sight(visible, *self._through(self.media, medium, ray, ray.maxt, visible))
         transmittance = mi.Spectrum(1.0)
-        if self._opaque is not None:
+        if self._opaque is not None and hidden is None:
             blocked = self._opaque.ray_test(ray, active)
             active, transmittance = active & ~blocked, transmittance & ~blocked
 
@@ -151,6 +187,8 @@ class Visibility:
             null &= active
             if medium is None:
                 null &= crossings > 0
+            lamp = mi.Bool(False) if hidden is None else active & hidden & is_lamp(hit.shape)
+            null |= lamp
             transmittance = dr.select(active & ~null, 0.0, transmittance)
 
             def behind(
@@ -160,30 +198,32 @@ class Visibility:
                 crossings: mi.UInt32,
                 medium: mi.UInt32 | None,
                 hit: mi.PreliminaryIntersection3f,
+                lamp: mi.Bool,
             ) -> tuple[mi.Bool, mi.Ray3f, mi.Spectrum, mi.UInt32, mi.UInt32 | None]:
                 si = hit.compute_surface_interaction(ray, active=null)
                 material = self.material(si, ray)
-                transmittance = transmittance * material.call(mi.BSDF.eval_null_transmission, si, active=null)
+                passed = material.call(mi.BSDF.eval_null_transmission, si, active=null & ~lamp)
+                transmittance = transmittance * dr.select(lamp, 1.0, passed)
                 # The direction to the end point is computed again: the new origin is offset from the surface, and a ray
                 # in the old direction could hit the light at the end.
                 finite = ray.maxt < dr.largest(mi.Float)
                 end = ray(dr.select(finite, ray.maxt, si.t))
                 onward = dr.select(finite, si.spawn_ray_to(end), si.spawn_ray(ray.d))
                 if medium is not None:
-                    bounds = si.is_medium_transition()
-                    medium = medium_behind(si, ray.d, medium)
-                    transmittance = dr.select(bounds | (crossings > 0), transmittance, 0.0)
-                    crossings = dr.select(bounds, crossings, crossings - 1)
+                    bounds = si.is_medium_transition() & ~lamp
+                    medium = dr.select(lamp, medium, medium_behind(si, ray.d, medium))
+                    transmittance = dr.select(bounds | lamp | (crossings > 0), transmittance, 0.0)
+                    crossings = dr.select(bounds | lamp, crossings, crossings - 1)
                 null = null & (dr.max(transmittance) > 0.0) & (onward.maxt > 0.0)
                 return null, dr.select(null, onward, ray), transmittance, crossings, medium
 
             # A branch, because most occluders are opaque and computing the surface interaction is expensive.
-            arguments = null, ray, transmittance, crossings, medium, hit
+            arguments = null, ray, transmittance, crossings, medium, hit, lamp
             crosses, ray, transmittance, crossings, medium = dr.if_stmt(
                 arguments, null, behind, lambda *untouched: untouched[:5], label="crossing"
             )
             if medium is None:
-                crossings = crossings - 1
+                crossings = dr.select(lamp, crossings, crossings - 1)
             return crosses, ray.o, ray.d, ray.maxt, transmittance, crossings, medium, passing
 
         first = mi.Point3f(ray.o), mi.Vector3f(ray.d), mi.Float(ray.maxt)
@@ -205,6 +245,11 @@ class Visibility:
             transmittance *= tracked.passed
         passing = passed_by_walks(media, medium, distance, tracked) if media.scatters else None
         return transmittance, passing
+
+
+def is_lamp(shape: mi.ShapePtr) -> mi.Bool:
+    """Lanes whose shape emits light."""
+    return dr.reinterpret_array(mi.UInt32, shape.emitter()) != 0
 
 
 def _passes(bsdf: mi.BSDF) -> bool:

@@ -35,7 +35,7 @@ from .rays import Edge, WalkRecorder
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .tracking import Tracked, keys_of_ray, keys_of_walk, track
 from .vertex import WalkVertex
-from .visibility import Sight, Visibility
+from .visibility import Sight, Visibility, is_lamp
 
 
 @dataclass(kw_only=True)
@@ -58,6 +58,9 @@ class SubPath:
     #: Whether mirrors, glass and null surfaces only are between the camera and the next edge, each passed in its most
     #: likely way; None unless it is recorded what is seen in them.
     through: mi.Bool | None = None
+    #: Whether lights on the next edge are hidden: it leaves the camera, or null surfaces seen from there. None unless
+    #: the camera sees no lights.
+    hidden: mi.Bool | None = None
 
     def components_of(self, values: Sequence[mi.Spectrum]) -> list[tuple[mi.UInt32 | None, mi.Spectrum]]:
         """(component, light) that the vertex at the end of the edge reflects. ``values``: all light as one value; with
@@ -196,6 +199,8 @@ class Walker:
             ray = mi.Ray3f(ray)
             ray.maxt = dr.minimum(ray.maxt, free)
         hit = self.visibility.scene.ray_intersect_preliminary(ray, active=s.active)
+        if s.hidden is not None:
+            hit = self.visibility.past_lamps(hit, ray, s.active & s.hidden)
         tracked = self._tracked(s, source, hit.t)
         if tracked is not None and free is not None:
             hit.t = dr.select(tracked.collision < dr.inf, dr.inf, hit.t)
@@ -280,6 +285,8 @@ class Walker:
         :meth:`light_point` used at the start of the edge, if not the light table."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
+        if s.hidden is not None:
+            active &= ~s.hidden
         if vertex.bsdf.in_medium is not None:
             active &= ~vertex.bsdf.in_medium
         origin = s.ray.o - s.ray.d * s.travelled
@@ -339,11 +346,15 @@ class Walker:
         """Weight of a light point of a vertex. ``pdf``: density of hitting the light instead."""
         return weights.light_point(light, pdf)
 
-    def sight(self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool) -> Sight:
+    def sight(
+        self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool, by_camera: bool = False
+    ) -> Sight:
         """What of ``target`` is seen from a vertex. ``edges``: length of the resulting path; each null surface adds
-        one, up to ``max_edges``."""
-        ray = vertex.ray_to(target)
-        return self.visibility.along(ray, self.max_edges - edges, active, vertex.medium_towards(ray.d))
+        one, up to ``max_edges``. ``by_camera``: whether the target is on the camera."""
+        ray, hidden = vertex.ray_to(target), self.visibility.hidden if by_camera else None
+        if hidden is not None:
+            active &= ~is_lamp(vertex.si.shape)
+        return self.visibility.along(ray, self.max_edges - edges, active, vertex.medium_towards(ray.d), hidden)
 
     def keep_if_null(self, scattered: Scattered, before: V, after: V) -> V:
         """``after`` where the path has scattered at the vertex; ``before`` where it has crossed a null surface, at
@@ -385,6 +396,8 @@ class Walker:
             alive &= s.depth + self.spare <= self.max_edges
         if s.seen is not None:
             s.seen = self.keep_if_null(scattered, s.seen, after_scattering(s.seen, scattered.is_delta))
+        if s.hidden is not None:
+            s.hidden &= scattered.is_null
         if s.through is not None and self.first is not None:
             likely = alive & (scattered.pdf >= 0.5)
             self.first.discard(s.active & s.through & scattered.active & ~vertex.smooth & ~likely)

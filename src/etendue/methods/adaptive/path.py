@@ -71,6 +71,7 @@ class AdaptivePath(EndsInMap):
     Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
     settings: AdaptiveSettings
     spectral: ClassVar[bool] = True
+    one_way = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. With ``maps``, a pilot measures the number of photons of a light path."""

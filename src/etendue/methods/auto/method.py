@@ -34,7 +34,7 @@ import numpy as np
 
 from etendue.core import Carrying, CheckpointError, Measurement, Result, SampleSource, State, logger, setting
 from etendue.film import COMPONENTS
-from etendue.scene import LightTable, Problem, materials
+from etendue.scene import LightTable, Problem, materials, one_way
 from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
 from .. import radius as radii
@@ -124,6 +124,7 @@ class Auto(Carrying, ImageMethod):
     carries_on: ClassVar[bool] = True
     media: ClassVar[str | None] = "scattering"
     spectral: ClassVar[bool] = True
+    one_way = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. The first pass with light paths prepares what only such passes need."""
@@ -133,7 +134,8 @@ class Auto(Carrying, ImageMethod):
         self._seed = seed
         self._vcm: Vcm | None = None
         self._vcm_state: State = {}
-        self._counts = FIXED.get(self.settings.choice, LEARNER)
+        self._choice = "path" if one_way(problem.scene) is not None else self.settings.choice
+        self._counts = FIXED.get(self._choice, LEARNER)
         self._learned = Learned.none()
         self._trial = Trial.none()
         self._products: dict[str, float] = {}
@@ -197,7 +199,7 @@ class Auto(Carrying, ImageMethod):
     @property
     def _learns(self) -> bool:
         """Whether passes of this run may learn."""
-        return self.settings.choice not in FIXED and (self._brief is None or self._learned.passes > 0)
+        return self._choice not in FIXED and (self._brief is None or self._learned.passes > 0)
 
     def _is_due(self) -> bool:
         """Whether the next pass learns."""
@@ -216,7 +218,7 @@ class Auto(Carrying, ImageMethod):
             if self._vcm:
                 self._vcm_state = self._vcm.left()
             own = self.settings
-            names = ("max_depth", "samples_per_pass", "sampler", "scrambling", "reconstruction", "clamp", "components")
+            names = ("max_depth", "hide_emitters", "sampler", "scrambling", "reconstruction", "clamp", "components")
             common = {name: getattr(own, name) for name in names} | {"samples_per_pass": self.samples_per_iteration}
             settings = BidirectionalSettings(
                 **common,
@@ -289,7 +291,7 @@ class Auto(Carrying, ImageMethod):
         lights = self._lights_of_paths()
         # Roulette as in the passes that predict the error; with fixed counts, as in the method ``path``.
         own: dict[str, Any] = {}
-        if self.settings.choice not in FIXED:
+        if self._choice not in FIXED:
             own = {"rr_depth": self._rr_depth, "survival": CameraWalk.survival}
 
         def trace(ray: mi.Ray3f, source: SampleSource, first: FirstHits | None) -> CameraPath:

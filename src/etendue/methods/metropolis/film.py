@@ -91,7 +91,8 @@ class FilmTarget:
     ) -> tuple[mi.Spectrum, mi.UInt32]:
         """(radiance of a path, rays). ``own``: other initial values."""
         walker = self._method.walker(Walker, proposal=self._method.settings.proposal)
-        path = traced(ray, walker, weights, source, active=(walker.max_edges > 0) & active, **own)
+        own |= {"active": (walker.max_edges > 0) & active, "hidden": walker.visibility.hidden}
+        path = traced(ray, walker, weights, source, **own)
         return path.radiance, path.rays
 
     def _seen(self, ray: mi.Ray3f) -> tuple[mi.Spectrum, mi.UInt32]:
@@ -109,7 +110,7 @@ class FilmTarget:
             s.ray, s.travelled, s.depth = vertex.ray(vertex.incoming), vertex.distance, s.depth + 1
             return s
 
-        path = CameraPath.start(ray, walker.max_edges)
+        path = CameraPath.start(ray, walker.max_edges, hidden=walker.visibility.hidden)
         path = walker.walk(path, cross, "lights that are seen")
         return path.radiance, path.rays
 

@@ -175,7 +175,15 @@ class MetropolisMethod(Carrying, ImageMethod):
         )
         self._passes = 0
         kind = self.beside()
-        shared = ("max_depth", "sampler", "scrambling", "reconstruction", "components", "bsdf_sampling")
+        shared = (
+            "max_depth",
+            "hide_emitters",
+            "sampler",
+            "scrambling",
+            "reconstruction",
+            "components",
+            "bsdf_sampling",
+        )
         known = kind.Settings.names()
         same = {name: getattr(s, name) for name in shared if name in known and hasattr(s, name)}
         if "guide_emission" in known:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from etendue.core import OptionError, Settings, suggest
+from etendue.core import Array, OptionError, Settings, seed_key, suggest
 from etendue.engine import Budget, Job, RunResult, Task, silent
 from etendue.lighting import SkyPatches, compass
+from etendue.points import OwenSobol
 from etendue.radiosity import (
     ESTIMATORS,
     EXACT_TOLERANCE,
@@ -32,16 +33,25 @@ from etendue.radiosity import (
     factor_format,
     form_factors,
     group_index,
+    joined_rows,
+    local_form_factors,
     no_factors,
     partial_form_factors,
+    read_form_factors,
+    read_notes,
     save_form_factors,
     sky_parts,
 )
+from etendue.surfaces import Patches, RayScene
 
 from ..files import Writing, about
 from ..results import FormFactorResult
 from .base import PatchProduct
 
+#: Name of the digest of patches in the metadata of rows.
+_PATCHES = "patches"
+#: Formats that say which rows are known.
+_OF_ROWS = (".npz", ".nc")
 #: Bundles for each patch of the sky, at least, unless a budget is given; rounded up to a power of two.
 _BUNDLES_PER_PATCH = 16
 
@@ -67,6 +77,9 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     sky_patches: int | None = None
     outputs: tuple[Path, ...] = ()
     tolerance: float | None = None  #: of form factors by integrals
+    rays: int | None = None  #: of each patch, for form factors by rays
+    rows: tuple[str, ...] = ()  #: files whose patches alone send rays
+    seed: int = 0  #: of rays
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,7 +94,14 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         if self.up is not None:
             compass(self.up, self.north)
         for path in self.outputs:
+            if self.rows and factor_format(path).name not in _OF_ROWS:
+                raise OptionError(
+                    f"'{path}' has no place for rows that are not known: write {' or '.join(_OF_ROWS)} for each tile, "
+                    "and join them (etendue join-factors)"
+                )
             factor_format(path)
+        if self.rows and (self.row_sums or self.reciprocal or self.groups):
+            raise OptionError("groups and corrections but the threshold need all rows: etendue join-factors has them")
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -148,7 +168,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         factors, correction = self._corrected(found)
         known = self._metadata(job, bundles=bundles, estimator=self.estimator, **self._asked, **self._outside)
         patches = job.problem.patches
-        groups = self._write(writing, patches, factors, known)
+        groups = self._write(writing, 1 - patches.reflectance[:, 0], factors, known)
         return FormFactorResult(
             patches=patches,
             factors=factors,
@@ -163,29 +183,58 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def at_once(
         self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
     ) -> FormFactorResult:
-        """Form factors by integrals instead of lines."""
+        """Form factors by integrals, or by rays from patches, instead of lines."""
         problem = source.open(tell)
         self.check(problem)
         on_patches(problem.patches)
-        begin = time.perf_counter()
-        factors, correction = self._corrected(
-            exact_form_factors(problem.patches, self.tolerance or EXACT_TOLERANCE, tell)
-        )
+        begin, how = time.perf_counter(), "exact" if self.rays is None else "rays"
+        factors, correction = self._corrected(self._computed(problem.patches, tell))
         elapsed, writing = time.perf_counter() - begin, Writing()
-        groups = self._write(writing, problem.patches, factors, about(problem.source, estimator="exact", **self._asked))
+        known = self._asked
+        if self.rays is not None:
+            known |= {"rays": self.rays, "seed": self.seed, _PATCHES: problem.fingerprint}
+        emissivity = 1 - problem.patches.reflectance[:, 0]
+        groups = self._write(writing, emissivity, factors, about(problem.source, estimator=how, **known))
         writing.finish()
         return FormFactorResult(
             patches=problem.patches,
             factors=factors,
             correction=correction,
             groups=groups,
-            stopped_by="exact",
+            stopped_by=how,
             elapsed=elapsed,
         )
 
-    def _write(self, writing: Writing, patches: Any, factors: FormFactors, known: dict[str, Any]) -> FormFactors | None:
+    def _computed(self, patches: Patches, tell: Callable[[str], object]) -> FormFactors:
+        if self.rays is None:
+            return exact_form_factors(patches, self.tolerance or EXACT_TOLERANCE, tell)
+        rows = np.flatnonzero(patches.of_files(self.rows)) if self.rows else None
+        points = OwenSobol(4, seed=seed_key(self.seed, "local rays", 0)[0])
+        return local_form_factors(RayScene(patches), self.rays, rows=rows, points=points, tell=tell)
+
+    def joined(self, paths: Sequence[Path]) -> tuple[FormFactors, Correction | None]:
+        """The form factors of all patches from files of the rows of some, see :func:`etendue.radiosity.joined_rows`,
+        corrected, and written to the files of this product."""
+        whole = joined_rows([read_form_factors(path) for path in paths], list(map(str, paths)))
+        notes = [read_notes(path) for path in paths]
+        for path, (_, known) in zip(paths, notes, strict=True):
+            if known.get(_PATCHES) != notes[0][1].get(_PATCHES):
+                raise OptionError(
+                    f"'{path}' and '{paths[0]}' are of other patches: name the same files in the same order in each run"
+                )
+        for path in self.outputs:
+            check_factors(path, between_groups(whole) if self.groups else whole)
+        factors, correction = self._corrected(whole)
+        writing = Writing()
+        self._write(writing, notes[0][0], factors, about(", ".join(map(str, paths)), **self._asked))
+        writing.finish()
+        return factors, correction
+
+    def _write(
+        self, writing: Writing, emissivity: Array, factors: FormFactors, known: dict[str, Any]
+    ) -> FormFactors | None:
         """Write the files; returns the factors between groups, if these are asked for."""
-        emissivity, groups = 1 - patches.reflectance[:, 0], None
+        groups = None
         if self.groups:
             groups, (names, group) = between_groups(factors), group_index(factors)
             emitted = np.bincount(group, factors.areas * emissivity, len(names))

@@ -21,7 +21,9 @@ from .solution_files import SolutionFiles
 from .solutions import BOXES, SolutionProduct
 
 #: Methods without passes.
-EXACT, AMBIENT, AUTO = "exact", "ambient", "auto"
+EXACT, RAYS, AMBIENT, AUTO = "exact", "rays", "ambient", "auto"
+#: Rays of a patch; the standard error of a row is then below one over their root.
+_RAYS = 4096
 
 
 @dataclass(frozen=True)
@@ -60,9 +62,9 @@ class PatchRun:
         """Raise :class:`OptionError` for settings that the method does not have, which may be misspelt arguments of
         ``function``."""
         name = current(self.method or "lines")
-        if name not in (*FACTORS, *SOLUTIONS, EXACT, AMBIENT):
+        if name not in (*FACTORS, *SOLUTIONS, EXACT, RAYS, AMBIENT):
             return  # the task refuses it
-        known: Any = Settings if name in (EXACT, AMBIENT) else find(name).Settings
+        known: Any = Settings if name in (EXACT, RAYS, AMBIENT) else find(name).Settings
         known.check_arguments(self.settings, f"method '{name}'", function)
 
     def _given(self) -> dict[str, Any]:
@@ -73,7 +75,7 @@ class PatchRun:
     def _common(self, method: str) -> dict[str, Any]:
         """Arguments of the product."""
         common = {name: getattr(self, name) for name in ("checkpoint", "save_every", "is_watched")}
-        if self.checkpoint is None and method not in (EXACT, AMBIENT):
+        if self.checkpoint is None and method not in (EXACT, RAYS, AMBIENT):
             stores_lines = method in FACTORS  # also of solutions
             common["if_stopped" if stores_lines else "checkpoint"] = self.checkpoint_beside
         return common
@@ -103,11 +105,14 @@ class FactorRun(PatchRun):
     up: str | None = None
     north: float = 0.0
     sky_patches: int | None = None
+    rows: tuple[str, ...] = ()
     outputs: tuple[Path, ...] = ()
 
     def task(self) -> Task | AtOnce:
         """Check what can be checked before the source is read. Raises :class:`OptionError` for what does not fit."""
         method = current(self.method or "lines")
+        if self.rows and method != RAYS:
+            raise OptionError(f"rows of some files are those of rays from their patches: give method {RAYS}")
         around = method == "spheres"
         for name in ("objects", "walls"):
             if getattr(self, name) is not None and not around:
@@ -120,15 +125,22 @@ class FactorRun(PatchRun):
         asked = {name: getattr(self, name) for name in names}
         if method == AUTO:
             method = self._chosen(source)
-        product = FormFactorProduct(**self._common(method), estimator=estimator, **asked)
+        product = FormFactorProduct(**self._common(method), estimator=estimator, **asked, rows=self.rows)
         if product.up is not None and method != LineCasting.name:
             raise OptionError(f"up and sky_patches are for method {LineCasting.name}, whose lines have directions")
+        if method == RAYS:
+            self._refuse_limits("method rays", "error")
+            if self.estimator is not None:
+                raise OptionError("estimators count lines, and method rays casts none: leave it out")
+            product.rays, product.seed = _rays(self.limits.get("error")), self.seed
+            product.check_files(False)
+            return AtOnce(source, product)
         if method == EXACT:
             self._refuse_limits("method exact", "error")
             product.tolerance = self.limits.get("error")
             product.check_files(False)
             return AtOnce(source, product)
-        return self._task(source, chosen(method, (*FACTORS, EXACT, AUTO), "form factors"), product)
+        return self._task(source, chosen(method, (*FACTORS, EXACT, RAYS, AUTO), "form factors"), product)
 
     def _chosen(self, source: PatchSource) -> str:
         """Integrals or lines, by what is asked for and by their time; ``tell`` gets the reason."""
@@ -252,6 +264,11 @@ class SolutionRun(PatchRun):
             raise OptionError("objects is for boxes and sub-scenes: give method boxes, or sub_scenes")
         if self.divide and method != BOXES:
             raise OptionError("divide puts boxes on workers: give method boxes, too")
+
+
+def _rays(error: float | None) -> int:
+    """Rays of a patch, a power of two, that give its row a standard error of at most ``error``."""
+    return _RAYS if error is None else max(1 << int(np.ceil(-2 * np.log2(error))), 2)
 
 
 def _given(value: Any) -> Any:

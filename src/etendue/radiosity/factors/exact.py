@@ -16,7 +16,7 @@ from etendue.points import OwenSobol
 from etendue.surfaces import Patches, diagnose, face_vectors, surfaces_of
 
 from ..compiling import compiled
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_no_period
 from ..lines.abuffer import ABuffer
 from ..lines.engine import warn_of_backs
 from .contacts import Contacts, quadrilaterals, refusal
@@ -132,6 +132,7 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
     """Check what can be checked beforehand. Raises :class:`RadiosityError`."""
     if not 0 < tolerance < 1:
         raise RadiosityError(f"the tolerance of form factors is above 0 and below 1, not {tolerance!r}")
+    check_no_period(patches, "integrals")
     n, loops, rules = len(patches), compiled("factors.exchange"), compiled("factors.distant")
     need, free = _BYTES * (n + 1) ** 2, free_memory()
     if free is not None and need > free:

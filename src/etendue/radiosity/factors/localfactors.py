@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -25,6 +26,7 @@ def local_form_factors(
     estimator: Literal["cosine", "angles"] = "cosine",
     rows: ArrayLike | None = None,
     points: PointSet | None = None,
+    tell: Callable[[str], object] = lambda text: None,
 ) -> FormFactors:
     """Form factors from ``samples`` rays of each patch, or only of the patches ``rows``.
 
@@ -34,8 +36,8 @@ def local_form_factors(
     ========== ================================== ==================================================
 
     [Castro 2002, sec. 2.3.1]. Errors are those of independent rays. ``points`` of four dimensions, by default a
-    scrambled Sobol' sequence; each row takes the next ``samples`` of them. Raises :class:`RadiosityError` for another
-    estimator, rows that are no patches, and fewer than two samples.
+    scrambled Sobol' sequence; each row takes the next ``samples`` of them. ``tell`` receives the progress. Raises
+    :class:`RadiosityError` for another estimator, rows that are no patches, and fewer than two samples.
     """
     n = len(scene.patches)
     laws = {"cosine": cosine_lanes, "angles": even_lanes}
@@ -46,12 +48,14 @@ def local_form_factors(
         raise RadiosityError(f"rows are numbers of patches from 0 to {n - 1}")
     if samples < 2:
         raise RadiosityError(f"a form factor with its error needs at least two rays, not {samples}")
-    chosen = chosen[~scene.patches.empty[chosen]]
+    chosen = np.unique(chosen[~scene.patches.empty[chosen]])
     points, source = points or OwenSobol(4), RaySource(scene, Sides.of(scene.patches))
-    sums, squares = sparse().csr_array((n, n + 2)), sparse().csr_array((n, n + 2))
+    parts: tuple[list[Any], list[Any]] = [], []
     at_once = max(BATCH // samples, 1)
     for start in range(0, len(chosen), at_once):
-        row = np.repeat(chosen[start : start + at_once], samples)
+        tell(f"rays, {100 * start // len(chosen)} %")
+        here = chosen[start : start + at_once]
+        row = np.repeat(here, samples)
         u = points.lanes(mi.UInt32, len(row), start * samples)
         places, ways = source.of(mi.UInt32(row.astype(np.uint32)), u[0], u[1]), laws[estimator](u[2], u[3])
         # With uniform angles each ray has the weight pi cos theta sin theta.
@@ -59,8 +63,10 @@ def local_form_factors(
         hits = scene.meets(places.origin, places.directions(ways))
         dr.eval(hits, weights)
         found, weight = np.array(hits), np.array(weights, dtype=np.float64)
-        sums += sparse().coo_array((weight, (row, found)), shape=sums.shape).tocsr()
-        squares += sparse().coo_array((weight**2, (row, found)), shape=sums.shape).tocsr()
+        place = np.repeat(np.arange(len(here)), samples), found
+        for part, of_rays in zip(parts, (weight, weight**2), strict=True):
+            part.append(sparse().coo_array((of_rays, place), shape=(len(here), n + 2)).tocsr())
+    sums, squares = (_spread(part, chosen, (n, n + 2)) for part in parts)
     mean = (sums / samples).tocsr()
     # Both sums have the same entries; a difference of sparse matrices would drop those without variance.
     mean.sort_indices()
@@ -72,6 +78,16 @@ def local_form_factors(
     sky, dark = np.asarray(mean[:, [n, n + 1]].todense()).T
     numbers = numbers_of(scene.patches)
     return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines, dark, **numbers)
+
+
+def _spread(parts: Sequence[Any], rows: Index, shape: tuple[int, int]) -> Any:
+    """A matrix with the rows of parts, one after the other, at ``rows``, which ascend, and no entries in others."""
+    if not parts:
+        return sparse().csr_array(shape)
+    stacked, counts = sparse().vstack(parts, format="csr"), np.zeros(shape[0], np.int64)
+    counts[rows] = np.diff(stacked.indptr)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    return sparse().csr_array((stacked.data, stacked.indices, starts), shape=shape)
 
 
 def area_form_factors(

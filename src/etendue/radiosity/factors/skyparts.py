@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from etendue.core import Array, free_memory, logger
 from etendue.lighting import SkyPatches, compass
 
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_up
 from ..lines.segments import Segments
 from .formfactors import FormFactors, inverse
 
@@ -31,6 +31,7 @@ def sky_parts(
     of the sky that have got no bundle. Raises :class:`RadiosityError` for segments without directions, and if the
     shares do not fit into memory.
     """
+    check_up(segments.patches, up)
     patches = None if m is None else SkyPatches(m)
     shares = sky_shares(segments, compass(up, north), patches)
     met = segments.directions_met(*_parts(compass(up, north), patches))

@@ -3,6 +3,7 @@ are written atomically."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
@@ -25,8 +26,10 @@ from etendue.formats import (
     energyplus_lines,
     moose_lines,
     netcdf_library,
+    netcdf_metadata,
     openfoam_face_lines,
     openfoam_factor_lines,
+    read_netcdf,
     read_view3d,
     save_arrays,
     table_lines,
@@ -294,6 +297,19 @@ def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of form factors '{path}'") from None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise RadiosityError(f"'{path}' is not a file of form factors that save_form_factors wrote as .npz") from error
+
+
+def read_notes(path: str | os.PathLike[str]) -> tuple[Array, dict[str, Any]]:
+    """The emissivities (n,) and the metadata in a file of form factors that :func:`save_form_factors` wrote as ``.npz``
+    or ``.nc``. Raises :class:`RadiosityError` for another file, :class:`FormatError` for one that is damaged."""
+    if Path(path).suffix.lower() == ".nc":
+        emissivity = np.asarray(read_netcdf(path, "form factors", ("emissivity",))["emissivity"])
+        return emissivity, netcdf_metadata(path)
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            return np.asarray(saved["emissivity"]), json.loads(str(saved["metadata"]))
+    except (OSError, KeyError, ValueError, EOFError, TypeError, BadZipFile) as error:
         raise RadiosityError(f"'{path}' is not a file of form factors that save_form_factors wrote as .npz") from error
 
 

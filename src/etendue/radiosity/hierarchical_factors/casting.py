@@ -15,7 +15,7 @@ from etendue.points import PointSet
 from etendue.surfaces import Objects, Patches
 
 from ..casting import SEGMENTS, CastingSettings, LineCasting
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_no_period
 from ..lines.abuffer import wanted_lines
 from ..lines.engine import LineEngine, warn_of_faults
 from ..lines.segments import Pairs
@@ -112,6 +112,7 @@ class HierarchicalCasting(LineCasting):
         return cast(HierarchicalCastingSettings, self._options)
 
     def _engine_for(self, patches: Patches) -> LineEngine:
+        check_no_period(patches, "method spheres")
         options, tree = self._hierarchy, self.tree
         shares = area_shares(tree, options.main_share) if options.main_share else least_error_shares(tree)
         sequences = [self._points(node) for node in range(len(tree))]

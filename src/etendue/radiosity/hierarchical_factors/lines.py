@@ -127,7 +127,9 @@ class TreeBundles(TreeLines):
             grids: list[Any] = []
             for node, generator in enumerate(self._generators):
                 u = self.sequences[node].block(number, start)
-                grids.append((generator.frames(u), np.ascontiguousarray(u[:, 2:]), *self._disc(node)))
+                frames = generator.frames(u)
+                shifts = np.ascontiguousarray(u[:, 2:])
+                grids.append((frames, shifts, generator.wraps(frames), *self._disc(node)))
 
             def run() -> Pairs:
                 made = [rasterise(*scene, *grid, len(self.patches), 4096, self._buffer.solid)[0] for grid in grids]

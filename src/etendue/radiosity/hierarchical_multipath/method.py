@@ -28,7 +28,7 @@ from etendue.points import PointSet
 from etendue.scene import Problem
 from etendue.surfaces import Patches
 
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_no_period
 from ..lines.engine import warn_of_backs
 from ..lines.generators import SINGLE_LINES
 from ..lines.sequences import LINE_POINTS, line_points
@@ -155,6 +155,9 @@ class HierarchicalMultipath(Method):
     def prepare(self, problem: PartProblem, seed: int) -> None:
         """Build the arrays for ray casting. Raises :class:`RadiosityError` if nothing emits, and if the lists and the
         power of all patches do not fit into memory."""
+        for part in problem.parts:
+            if part.patches is not None:
+                check_no_period(part.patches, "method boxes")
         self.root, self._seed = problem.root, seed
         self.tree = Tree(problem.root)
         emits = [part.patches is not None and bool(part.patches.emission.any()) for part in self.tree.parts]

@@ -18,6 +18,7 @@ from ..compiling import compiled
 from ..errors import RadiosityError
 from .engine import LineEngine
 from .generators import Bundles
+from .periodic import PeriodicBundles
 from .rasteriser import Rasteriser
 from .segments import Directed, Pairs
 from .spiral import SpiralPoints
@@ -45,11 +46,13 @@ class ABuffer(LineEngine):
     line passes between two faces of a closed mesh.
 
     points: by default :class:`SpiralPoints`, a spiral for the bundles of each call.
-    lines: number of lines of a bundle through the bounding sphere; by default four per patch in the mean, and at least
-        16384. If few surfaces in a large space need more than 2^24 lines, or 32 per patch if that is more, a bundle has
-        that number, with a warning; :class:`LocalRays` are then better. The squared error of a patch falls with the
-        number of bundles times the power 3/2 of their lines, as long as there are enough directions: use a few hundred
-        bundles, or a thousand for errors of 0.2 %.
+    A periodic domain (``period`` of the patches) has :class:`PeriodicBundles`, which need the compiled loops.
+
+    lines: number of lines of a bundle through the bounding sphere, or of a vertical one through a period; by default
+        four per patch in the mean, and at least 16384. If few surfaces in a large space need more than 2^24 lines, or
+        32 per patch if that is more, a bundle has that number, with a warning; :class:`LocalRays` are then better. The
+        squared error of a patch falls with the number of bundles times the power 3/2 of their lines, as long as there
+        are enough directions: use a few hundred bundles, or a thousand for errors of 0.2 %.
     backend: ``compiled`` loops on the CPU (Numba), or ``drjit``, on the device of the current variant. ``auto`` takes
         ``drjit`` on a GPU. Both find the same segments, except for single lines at an edge.
 
@@ -67,7 +70,11 @@ class ABuffer(LineEngine):
         self._default = self.points if points is None else None
         if backend not in get_args(Backend):
             raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
-        self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
+        is_periodic = patches.period is not None
+        if is_periodic and backend == "drjit":
+            raise RadiosityError("lines of a periodic domain are cast by the compiled loops: leave out backend='drjit'")
+        on_device = uses_cuda() and not is_periodic
+        self.backend = ("drjit" if on_device else "compiled") if backend == "auto" else backend
         if lines is None:
             wanted, most = wanted_lines(patches)
             if wanted > most:
@@ -82,7 +89,7 @@ class ABuffer(LineEngine):
                 f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, "
                 f"{free / 1e9:.2g} GB are free: ask for fewer lines, or take LocalRays"
             )
-        self.bundles: Bundles = Bundles(patches, lines)
+        self.bundles: Bundles = (PeriodicBundles if is_periodic else Bundles)(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)
         #: Spacing and vertices are in radii of the scene.
         self._spacing = self.bundles.spacing / self.bundles.radius
@@ -134,7 +141,7 @@ class ABuffer(LineEngine):
         on_device = self.backend == "drjit"
         made = starmap(self._rasteriser.counted, used) if on_device else self._rasterised(used)
         for (frames, _), (pairs, counts) in zip(kept, made, strict=True):
-            yield Directed(pairs, np.column_stack([frames[:, 2], counts]))
+            yield Directed(pairs, np.column_stack([self.bundles.directions(frames), counts]))
 
     def _rasterised(self, grids: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Pairs, NDArray[np.int64]]]:
         rasterise = compiled("lines.scanlines").rasterise
@@ -142,7 +149,7 @@ class ABuffer(LineEngine):
         room = int(1.2 * self.expected(1).sum()) + 1024
 
         def task(grid: tuple[Array, Array]) -> Callable[[], tuple[Pairs, NDArray[np.int64]]]:
-            arrays = *self.arrays, *grid
+            arrays = *self.arrays, *grid, self.bundles.wraps(grid[0])
             return lambda: rasterise(*arrays, self._spacing, np.zeros(3), np.inf, len(self.patches), room, self.solid)
 
         return in_order(task(grid) for grid in grids)
@@ -172,6 +179,9 @@ class ABuffer(LineEngine):
 
 
 def wanted_lines(patches: Patches) -> tuple[float, float]:
-    """Lines of a bundle through the bounding sphere for the default mean number per patch, and their limit."""
+    """Lines of a bundle through the bounding sphere, or of a vertical one through a period, for the default mean number
+    per patch, and their limit."""
     sparse = 2 * np.pi * patches.sphere[1] ** 2 / patches.areas.sum()
+    if patches.period is not None:
+        sparse = 1 / PeriodicBundles(patches, 1.0).expected(patches.areas, 1).sum()
     return max(LINES_PER_PATCH * sparse * len(patches), _FEWEST), max(_MOST, _MOST_PER_PATCH * len(patches))

@@ -11,7 +11,7 @@ from etendue.core import Array
 from etendue.points import PointSet
 from etendue.surfaces import REACH_OF_PAIRS, STEP, Hits, RayScene, is_interior
 
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_no_period
 from .engine import LineEngine
 from .generators import Bundles, LineGenerator, Lines, SpherePairs
 from .segments import Pairs
@@ -31,6 +31,7 @@ class ChainedRays(LineEngine):
     """
 
     def __init__(self, generator: LineGenerator, scene: RayScene, points: PointSet | None = None) -> None:
+        check_no_period(scene.patches, "single lines")
         super().__init__(scene.patches, points)
         self.generator, self.scene = generator, scene
         self.bundles = generator if isinstance(generator, Bundles) else None

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array
 from etendue.surfaces import Patches, across
@@ -32,7 +33,7 @@ from ..errors import RadiosityError
 #: Distance from the body at which lines begin, in radii, so that lines also meet faces on the surface of the body.
 _MARGIN = 0.05
 #: Rotation of grids (radians), so that walls along the axes are not aligned with the rows of a grid.
-_TURN = 0.4
+TURN = 0.4
 
 
 @dataclass(frozen=True)
@@ -193,8 +194,21 @@ class Bundles(LineGenerator):
     def frames_along(self, way: Array) -> Array:
         """The frames of given directions (n, 3)."""
         a, b = across(way)
-        cosine, sine = np.cos(_TURN), np.sin(_TURN)
+        cosine, sine = np.cos(TURN), np.sin(TURN)
         return np.stack([cosine * a + sine * b, cosine * b - sine * a, way], axis=1)
+
+    def directions(self, frames: Array) -> Array:
+        """(n, 3) directions of the lines of frames."""
+        return frames[:, 2]
+
+    def wraps(self, frames: Array) -> NDArray[np.int64]:
+        """(n, 3) for grids that repeat: the columns and the rows after which they do, and the columns by which they are
+        shifted after so many rows; zeros for others."""
+        return np.zeros((len(frames), 3), np.int64)
+
+    def density(self, frames: Array) -> Array:
+        """(n,) lines per area across them."""
+        return np.linalg.norm(np.cross(frames[:, 0], frames[:, 1]), axis=1) / self.spacing**2
 
     def lines(self, u: Array) -> Lines:
         """See :class:`LineGenerator`: bundle by bundle, row by row."""

@@ -45,6 +45,7 @@ def rasterise(
     coincident: NDArray[np.uint8],
     frames: Array,
     shifts: Array,
+    wraps: NDArray[np.int64],
     spacing: float,
     centre: Array,
     reach: float,
@@ -58,7 +59,8 @@ def rasterise(
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of each face
     seen from the front, then seen from the back, ``patches + 1`` for none; coincident (f,), 1 for faces that lie back
     to back on others, 2 for those of them that are part of no solid, else 0; frames (b, 3, 3) as of
-    :meth:`Bundles.frames`; shifts (b, 2) of the grid in units of ``spacing``; centre (3,), reach: only lines at most
+    :meth:`Bundles.frames`; shifts (b, 2) of the grid in units of ``spacing``; wraps (b, 3) of grids that repeat, as of
+    :meth:`Bundles.wraps`; centre (3,), reach: only lines at most
     ``reach`` from ``centre`` along both axes of the grid are cast; room, the initial capacity for hits of a bundle;
     solid, whether the scene is an interior, so that lines begin behind the backs of faces.
 
@@ -85,6 +87,8 @@ def rasterise(
             low_y, high_y = max(low_y, y - reach / spacing), min(high_y, y + reach / spacing)
         column, row = math.ceil(low_x), math.ceil(low_y)
         columns, rows = math.ceil(high_x) - column, math.ceil(high_y) - row
+        window = column, row, column + columns, row + rows
+        columns, rows, skew = wraps[b, 0] or columns, wraps[b, 1] or rows, wraps[b, 2]
         if columns <= 0 or rows <= 0:
             continue
         if columns * rows > len(heads):
@@ -92,7 +96,7 @@ def rasterise(
         heads[: columns * rows] = _NONE
         face, count, wanted = 0, 0, 0
         while True:
-            face, count, wanted = _fill(place, faces, column, row, columns, rows, heads, hits, nexts, face, count)
+            face, count, wanted = _fill(place, faces, window, columns, rows, skew, heads, hits, nexts, face, count)
             if face == len(faces):
                 break
             room = max(2 * len(hits), count + wanted)
@@ -136,17 +140,18 @@ def _project(
 def _fill(
     place: Array,
     faces: NDArray[np.uint32],
-    first_column: int,
-    first_row: int,
+    window: tuple[int, int, int, int],
     columns: int,
     rows: int,
+    skew: int,
     heads: NDArray[np.int32],
     hits: NDArray[np.uint64],
     nexts: NDArray[np.int32],
     start: int,
     count: int,
 ) -> tuple[int, int, int]:
-    """Put the hits of the faces from ``start`` on into the lists, as far as the hits are in the grid.
+    """Put the hits of the faces from ``start`` on into the lists, as far as the hits are in the ``window``: its first
+    column and row, and those behind its last. Lines repeat after ``rows``, shifted by ``skew``, and after ``columns``.
 
     Returns the face at which the capacity was exceeded (``len(faces)`` if it was not), the number of hits, and the
     largest number of hits of that face.
@@ -154,15 +159,16 @@ def _fill(
     A face covers the half-open interval of a row between its edges, and an edge is computed in the same way for both
     faces that share it: a line hits exactly one of them.
     """
+    first_column, first_row, end_column, end_row = window
     for f in range(start, len(faces)):
         i0, i1, i2, i3 = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
         y0, y1, y2, y3 = place[i0, 1], place[i1, 1], place[i2, 1], place[i3, 1]
         top, end = math.ceil(min(min(y0, y1), min(y2, y3))), math.ceil(max(max(y0, y1), max(y2, y3)))
-        top, end = max(top, first_row), min(end, first_row + rows)
+        top, end = max(top, first_row), min(end, end_row)
         if top >= end:
             continue
         x0, x1, x2, x3 = place[i0, 0], place[i1, 0], place[i2, 0], place[i3, 0]
-        width = min(math.ceil(max(max(x0, x1), max(x2, x3))), first_column + columns)
+        width = min(math.ceil(max(max(x0, x1), max(x2, x3))), end_column)
         width -= max(math.ceil(min(min(x0, x1), min(x2, x3))), first_column)
         if width <= 0:
             continue
@@ -204,15 +210,20 @@ def _fill(
                 max(e0 if up0 != up1 else -np.inf, e1 if up1 != up2 else -np.inf),
                 max(e2 if up2 != up3 else -np.inf, e3 if up3 != up0 else -np.inf),
             )
-            begin, stop = max(math.ceil(left), first_column), min(math.ceil(right), first_column + columns)
+            begin, stop = max(math.ceil(left), first_column), min(math.ceil(right), end_column)
             depth = z0 + slope_y * (row - y0) + slope_x * (begin - x0)
-            line = (row - first_row) * columns - first_column
-            for column in range(begin, stop):
+            turn = (row - first_row) // rows
+            line = (row - first_row - turn * rows) * columns
+            column = (begin - first_column - turn * skew) % columns
+            for _ in range(begin, stop):
                 z = np.uint64(np.int64(min(max(depth, z_low), z_high)))
                 hits[count], nexts[count] = (z << _HALF) | side, heads[line + column]
                 heads[line + column] = count
                 count += 1
                 depth += slope_x
+                column += 1
+                if column == columns:
+                    column = 0
     return len(faces), count, 0
 
 

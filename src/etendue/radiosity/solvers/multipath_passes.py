@@ -22,7 +22,7 @@ from etendue.core import (
 from etendue.surfaces import Patches, RayScene
 
 from ..compiling import compiled
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_no_period
 from ..lines.chained import ChainedRays
 from ..lines.generators import GENERATORS, SINGLE_LINES
 from ..lines.sequences import LINE_POINTS, line_points
@@ -83,6 +83,7 @@ class MultipathPasses(Method):
 
     def prepare(self, problem: PatchProblem, seed: int) -> None:
         """Build the engine and send the light of small emitters. Raises :class:`RadiosityError` if nothing emits."""
+        check_no_period(problem.patches, "method multipath")
         self.patches, self._seed = problem.patches, seed
         self._engine = self._options.lines(problem.patches, seed)
         self._exchange = LineExchange(self._engine, self.samples_per_iteration, self._shoot(problem, seed))

@@ -13,6 +13,7 @@ import numpy as np
 
 from etendue.core import threads_for_files
 
+from ..curves import extend_curves
 from ..graph import plugin_name
 from ..parsing import read_properties
 
@@ -25,7 +26,7 @@ _GOOD, _POSSIBLE = 4.0, 1e4
 
 def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> mi.Scene:
     """The scene of a parsed description. Environment maps that Mitsuba would not sample well get more rows, and the
-    emitters ``sky`` the sphere around the scene, except those that are objects of the caller."""
+    emitters ``sky`` the sphere around the scene, except those that are objects of the caller; curves become safe."""
     import mitsuba as mi
 
     given = [value for value in read_properties(state.root.props).values() if isinstance(value, mi.Emitter)]
@@ -38,6 +39,7 @@ def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -
             _double(emitter)
         if plugin_name(emitter) == "sky":
             emitter.surround(scene.bbox())
+    extend_curves(scene)
     return scene
 
 

@@ -13,6 +13,7 @@ from etendue.core import Array, copied_to_device, use_variant
 
 from ..faces import triangles
 from ..patches import Patches
+from ..periods import LEAST_SLOPE
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -34,7 +35,10 @@ class Hits:
 
 class RayScene:
     """Patches as a scene for rays, in unit coordinates: relative to the ``centre`` of the patches, in units of their
-    ``radius``. Faces that lie back to back are set apart (:class:`Coincident`); a warning names those that clash."""
+    ``radius``. Faces that lie back to back are set apart (:class:`Coincident`); a warning names those that clash.
+
+    Rays through patches with a ``period`` go on in its repetitions; those flatter than ``LEAST_SLOPE`` get this slope.
+    """
 
     def __init__(self, patches: Patches) -> None:
         use_variant()
@@ -65,8 +69,7 @@ class RayScene:
         """Closest hits of rays with origins and directions (k, 3), in unit coordinates."""
         import mitsuba as mi
 
-        ray = mi.Ray3f(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
-        pi = self._scene.ray_intersect_preliminary(ray, coherent=False)
+        pi = self.hit(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
         distance, triangle = np.array(pi.t), np.array(pi.prim_index)
         hit = np.flatnonzero(np.isfinite(distance))
         return Hits(hit, distance[hit], self._face[triangle[hit]])
@@ -85,8 +88,54 @@ class RayScene:
         """:meth:`first_hits` on the device, for lanes of points and directions."""
         import mitsuba as mi
 
+        if self.patches.period is not None:
+            return self._hit_again(mi.Point3d(origins), mi.Vector3d(directions), mi.Bool(active))
         ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
         return self._scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+
+    def _hit_again(self, origins: mi.Point3d, directions: mi.Vector3d, active: mi.Bool) -> mi.PreliminaryIntersection3f:
+        """:meth:`hit` in a periodic domain: a ray that leaves the period at a side enters it at the opposite one. Both
+        parts overlap by two steps at the side, so that rounding lets no ray pass a face there."""
+        import mitsuba as mi
+
+        assert self.patches.period is not None
+        lengths = [dr.opaque(mi.Float64, x / self.radius if x else np.inf) for x in self.patches.period]
+        top = dr.opaque(mi.Float64, np.ptp(self.patches.bounds, axis=0)[2] / 2 / self.radius)
+        d = mi.Vector3d(directions)
+        d.z = dr.mulsign(dr.maximum(dr.abs(d.z), LEAST_SLOPE), d.z)
+        p = mi.Point3d(origins)
+        p.x, p.y = (dr.select(dr.isfinite(x), a - x * dr.round(a / x), a) for a, x in zip(p, lengths, strict=False))
+
+        def way_to_side(p: mi.Point3d, further: float) -> list[mi.Float64]:
+            """Way to the planes of the sides, or a little further, along both axes."""
+            return [
+                dr.maximum((x / 2 + further - dr.mulsign(a, c)) / dr.abs(c), 0.0)
+                for a, c, x in zip(p, d, lengths, strict=False)
+            ]
+
+        def step(
+            p: mi.Point3d, way: mi.Float64, going: mi.Bool, t: mi.Float, triangle: mi.UInt32
+        ) -> tuple[mi.Point3d, mi.Float64, mi.Bool, mi.Float, mi.UInt32]:
+            ray = mi.Ray3f(mi.Point3f(p), mi.Vector3f(d))
+            ray.maxt = mi.Float(dr.minimum(*way_to_side(p, STEP)))
+            found = self._scene.ray_intersect_preliminary(ray, coherent=False, active=going)
+            is_hit = going & found.is_valid()
+            t = dr.select(is_hit, found.t + mi.Float(way), t)
+            triangle = dr.select(is_hit, found.prim_index, triangle)
+            to_x, to_y = way_to_side(p, -STEP)
+            on = dr.minimum(to_x, to_y)
+            p = dr.fma(d, on, p)
+            p.x -= dr.select(to_x <= on, dr.mulsign(lengths[0], d.x), 0.0)
+            p.y -= dr.select(to_y <= on, dr.mulsign(lengths[1], d.y), 0.0)
+            is_out = (dr.mulsign(p.z, d.z) > top) | ~dr.isfinite(on)
+            return p, way + on, going & ~is_hit & ~is_out, t, triangle
+
+        none = dr.zeros(mi.Float64, dr.width(p, d))
+        state = p, none, active & (none == 0), mi.Float(none) + dr.inf, mi.UInt32(none)
+        *_, t, triangle = dr.while_loop(state, lambda p, way, going, *_: going, step, label="periodic rays")
+        result = dr.zeros(mi.PreliminaryIntersection3f, dr.width(t))
+        result.valid, result.t, result.prim_index = dr.isfinite(t), t, triangle
+        return result
 
     def meets(self, origins: mi.Point3f, directions: mi.Vector3f) -> mi.UInt32:
         """:meth:`first_patches` on the device."""

@@ -61,6 +61,7 @@ def read_patches(
     more: Sequence[str | Path] = (),
     obstacles: Sequence[str | Path] = (),
     orient: str | None = None,
+    periodic: Sequence[float] | None = None,
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
 
@@ -77,6 +78,7 @@ def read_patches(
         of patches have; ``"file"`` numbers these files, and names them.
     orient: ``"outward"`` turns the faces whose fronts are not outside of solids, ``"inward"`` those whose fronts are
         not inside of rooms (:func:`orientation`); a warning names them.
+    periodic: see :class:`Patches`.
 
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
     without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
@@ -87,11 +89,11 @@ def read_patches(
     path = Path(path)
     if temperature is not None and emission is not None and (isinstance(emission, str) or np.any(emission)):
         raise PatchError("patches emit by their temperature or have an emission; give one of the two")
-    mesh = _read(path)
+    files = [(name.stem, _read(name)) for name in (path, *map(Path, more))]
+    mesh = files[0][1]
     if more or obstacles:
-        files = [(Path(name).stem, _read(Path(name))) for name in more]
         hidden = [_read(Path(name)) for name in obstacles]
-        mesh = joined_files([(path.stem, mesh), *files], hidden, is_reflectance_given=reflectance is not None)
+        mesh = joined_files(files, hidden, is_reflectance_given=reflectance is not None)
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
@@ -137,7 +139,10 @@ def read_patches(
         sky=sky,
         left_out=left_out,
         obstacles=np.flatnonzero(np.isin(rows, mesh.obstacles)),
+        periodic=periodic,
     )
+    firsts = np.cumsum([0, *(int(m.rows[-1]) + 1 if len(m.rows) else 0 for _, m in files[:-1])])
+    patches.files = tuple((name, int(first)) for (name, _), first in zip(files, firsts, strict=True))
     if objects is not None:
         numbers = _cell_array(path, cells, objects, whole=True)[seen]
         if not _set_shapes(patches, labels[seen], numbers):

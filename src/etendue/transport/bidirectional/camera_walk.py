@@ -100,6 +100,7 @@ class CameraWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, lanes),
             seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             through=self.first.through if self.first else None,
+            hidden=self.visibility.hidden,
             lane=dr.arange(mi.UInt32, lanes) if number is None else mi.UInt32(number),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
             worth=learner.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)) if learner else None,

@@ -209,7 +209,8 @@ class LightWalk(BidirectionalWalk):
         # Splats are summed over paths, camera paths over samples: the threshold is scaled accordingly.
         threshold, u = self.dark * self.mis.paths_per_sample, source.decide(vertex.number, dim.SPLAT_SHADOW)
         on_film = joined.active & place.on_film
-        edge = self.connect(vertex, joined.target, s.depth + 1, weigh, alone * factor, threshold, u, on_film)
+        roulette = alone * factor, threshold, u
+        edge = self.connect(vertex, joined.target, s.depth + 1, weigh, *roulette, on_film, by_camera=True)
         contribution, weights = edge.contribution, edge.weights
         s.rays += edge.rays
         if self.rays is not None:

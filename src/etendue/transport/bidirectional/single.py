@@ -24,7 +24,7 @@ from ..camera import CameraConnection, CameraSampler
 from ..emission import is_emissive, sample_direct
 from ..scattering import evaluate_light_end, scatter_camera
 from ..vertex import WalkVertex
-from ..visibility import Visibility
+from ..visibility import Visibility, is_lamp
 from ..walk import ones
 from .light_walk import LightPath, LightWalk
 from .linear import Carried
@@ -114,6 +114,7 @@ class _CameraSide(BidirectionalWalk):
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
             seen=mi.UInt32(Component.EMISSION) if components else None,
+            hidden=self.visibility.hidden,
             wanted=edges,
             emissive=emissive,
             hit=dr.zeros(mi.PreliminaryIntersection3f, lanes),
@@ -143,7 +144,7 @@ def _no(lanes: int) -> mi.Bool:
 #: State that a sub-path keeps at a vertex where it does not scatter.
 _KEPT = (
     *("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled", "vertex", "eta", "from_infinity", "waiting"),
-    *("seen", "kind"),
+    *("seen", "kind", "hidden"),
 )
 
 
@@ -324,7 +325,11 @@ class SingleTechnique:
         medium = None
         if (towards_light := eye_end.medium_towards(ray.d)) is not None:
             medium = dr.select(t == 1, light_end.medium_towards(ray.d), towards_light)
-        sight = self.visibility.along(ray, self.max_edges - edges, tested, medium)
+        hidden = None
+        if self.visibility.hides_lights:
+            hidden = t == 1
+            tested &= ~(hidden & is_lamp(light_end.si.shape))
+        sight = self.visibility.along(ray, self.max_edges - edges, tested, medium, hidden)
         weighted, alone = (dr.select(sight.visible, value * sight.transmittance, 0.0) for value in (weighted, alone))
         # A sub-path without an end is connected from the origin, where the projection may be undefined.
         position = dr.select((t == 1) & sensor.active, sensor.position, place)

@@ -98,13 +98,15 @@ class BidirectionalWalk(Walker):
         u: mi.Float,
         active: mi.Bool,
         end: mi.Spectrum | mi.Float | None = None,
+        by_camera: bool = False,
     ) -> Connected:
         """Connect a vertex to ``target`` by an untraced edge.
 
         edges: length of the path. weigh: (weights; contributions, one per radius, without visibility) for the
         densities of the edge in media, which depend on its shadow ray. alone: the contribution without a weight.
         Roulette by ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever
-        ``alone`` is not zero. end: extinction at ``target`` (see :attr:`Vertex.extinction`).
+        ``alone`` is not zero. end: extinction at ``target`` (see :attr:`Vertex.extinction`). by_camera: whether the
+        target is on the camera.
         """
         if not self.visibility.volumes:
             weights, values = weigh(None)
@@ -112,7 +114,7 @@ class BidirectionalWalk(Walker):
         else:
             survives, factor = shadow_roulette([alone], threshold, u, active)
         tested = survives if self.pyramid is None else active & ~dr.all(alone == 0.0)
-        sight = self.sight(vertex, target, edges, tested)
+        sight = self.sight(vertex, target, edges, tested, by_camera)
         if sight.passing is not None:
             weights, values = weigh(Passing.of(sight.passing, vertex.extinction, end))
         weighted = [value * (factor * sight.transmittance) for value in values]

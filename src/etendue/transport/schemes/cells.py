@@ -166,7 +166,7 @@ class ImportancePilot(Walker):
             vertex.si, self.camera.splat_aperture(source, vertex.number), s.active & vertex.smooth
         )
         on_film = joined.active & self.camera.on_film(joined.position)
-        visible = self.sight(vertex, joined.target, s.depth + 1, on_film).visible
+        visible = self.sight(vertex, joined.target, s.depth + 1, on_film, by_camera=True).visible
         s.arrived += dr.select(visible, brightness(s.throughput), 0.0)
         s.active &= self.goes_on(s, vertex)
         scattered, _ = vertex.sample(source, s.active, proposal=scatter_light)
