@@ -41,8 +41,8 @@ class Cover:
 @dataclass(frozen=True)
 class Contacts:
     """Faces ``corners`` (f, 4, 3) with ``planes`` (f, 4), in radii of the scene, of which some lie on each other: these
-    are in one plane exactly. ``in_front``: of such faces a and b, whether b is in front of a;
-    ``partners``: of a face."""
+    are in one plane exactly. ``in_front``: of such faces a and b, whether b is in front of a. ``partners``: of each of
+    them, the others."""
 
     corners: Array
     planes: Array
