@@ -429,6 +429,7 @@ def compute_point_factors(
     *,
     up: str = "z",
     rays: int | None = None,
+    error: float | None = None,
     groups: bool = False,
     solution: PathLike | None = None,
     max_area: float | None = None,
@@ -445,6 +446,7 @@ def compute_point_factors(
         all directions, 4 pi. Or :class:`etendue.lighting.Meters`; or a file of plane sensors, see
         :meth:`etendue.lighting.Meters.read`.
     up, rays: see :func:`etendue.radiosity.point_factors`; 8,192 rays for each sensor unless given.
+    error: rays are cast until no factor has a larger standard error, at most ``rays``.
     groups: the factors of groups of patches instead of patches, as of :func:`compute_form_factors`.
     solution: ``.npz`` of :func:`solve_radiosity` or :func:`solve_heat`, of the same patches: also the ``irradiance`` at
         the sensors, with the ``irradiance_error`` by the rays.
@@ -462,6 +464,7 @@ def compute_point_factors(
     source = PatchSource(source=mesh, max_area=max_area, parameters=parameters)
     use_variant(variant)
     options: Any = {"up": up, "seed": seed} | ({} if rays is None else {"rays": rays})
+    options["error"] = error
     return make_point_factors(source, placed, save, logger.info, groups=groups, solution=solution, **options)
 
 
@@ -498,7 +501,7 @@ def solve_heat(
     """
     from dataclasses import replace
 
-    from etendue.products import HeatResult, heat_files
+    from etendue.products import HeatResult, heat_files, warn_of_cold_sky
     from etendue.radiosity import (
         PatchSource,
         factors_of_patches,
@@ -525,6 +528,8 @@ def solve_heat(
         made = compute_form_factors(patches, row_sums=True, reciprocal=True, **asked, **settings).factors
     else:
         made = factors_of_patches(factors, patches)
+    if surroundings is None and not np.any(known.surroundings):
+        warn_of_cold_sky(made)
     balance = heat_balance(patches, made, known, solver=solver)  # type: ignore[arg-type]
     result = HeatResult(balance, made, names.tolist(), group, cases)
     for path in files:
@@ -881,5 +886,6 @@ def _run_on_patches(
         return _run(task, callback, cluster, workers, wait)
     if (cluster, workers) != (None, None) or not wait:
         given = "wait" if not wait else "cluster and workers"
-        raise OptionError(f"method '{run.method}' makes its result at once, without passes: leave out {given}")
+        why = task.why or f"method '{run.method}' makes its result at once, without passes"
+        raise OptionError(f"{why}: leave out {given}")
     return task.make(logger.info)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import shlex
+from pathlib import Path
 
 import pytest
 from support.run_files import SCENE
 
 from etendue.cli.main import main
+from etendue.radiosity import box, diagnose, orientation, read_patches
 
 
 def run(command: str) -> int:
@@ -52,3 +54,35 @@ def test_json(capsys):
 def test_a_scene_that_is_not_there(capsys):
     assert run("check nothing.xml") == 3
     assert capsys.readouterr().err.startswith("error: ")
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "vtu"])
+def test_a_mesh_is_turned_and_written(capsys, suffix):
+    """A cube with two faces turned wrong, in two groups; what is written is tested, and has the groups of the file."""
+    vertices, faces = box((0, 0, 0), (1, 1, 1), 1)
+    faces = faces.copy()
+    faces[[1, 4]] = faces[[1, 4], ::-1]
+    lines = [f"v {x} {y} {z}\n" for x, y, z in vertices]
+    lines += [f"g {'side' if k < 4 else 'cover'}\nf {' '.join(map(str, face + 1))}\n" for k, face in enumerate(faces)]
+    Path("a.obj").write_text("".join(lines))
+    assert run("check a.obj --quick") == 1
+    assert "most fronts are turned outward, but 2 are not: 1, 4" in capsys.readouterr().out
+    assert run(f"check a.obj --quick --orient outward -o b.{suffix}") == 0
+    captured = capsys.readouterr()
+    assert "turned outward, but" not in captured.out and "of 6 faces 2 are turned: face 1, 4" in captured.err
+    made = read_patches(f"b.{suffix}")
+    assert diagnose(made).is_closed and len(orientation(made).wrong) == 0
+    assert made.areas.sum() == pytest.approx(6)
+    if suffix in ("obj", "stl"):
+        groups = read_patches(f"b.{suffix}", ids="groups")
+        assert dict(zip(groups.names, groups.areas, strict=True)) == pytest.approx({"side": 4, "cover": 2})
+
+
+def test_only_meshes_are_turned(capsys):
+    assert run("check scene.xml --quick --orient outward") == 2
+    assert "orient and save are for mesh files" in capsys.readouterr().err
+    Path("a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert run("check a.obj --quick -o b.txt") == 2
+    assert "a mesh is written as .obj, .stl, .ply, .vtu" in capsys.readouterr().err
+    assert run("check a.obj --quick --orient up") == 3
+    assert "outward or inward, not 'up'" in capsys.readouterr().err

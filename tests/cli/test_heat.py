@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shlex
 from pathlib import Path
 
@@ -24,7 +25,10 @@ def run(command: str) -> int:
 
 
 def rows(path):
-    return list(csv.DictReader(Path(path).open()))
+    """The rows of a table, by the heads of its columns without their units."""
+    with Path(path).open() as file:
+        found = list(csv.DictReader(file))
+    return [{re.sub("_(m2|K|W|W_m2)$", "", head): cell for head, cell in row.items()} for row in found]
 
 
 def write_body():
@@ -172,7 +176,7 @@ def test_turned_faces_of_form_factors():
         ("name,temperature\n*,300\n", "", "the first column is 'group'"),
         ("group,temperature,conductance\nfloor,300,\n*,,5\n", "", "belong together"),
         ("group,temperature\n*,300,4\n", "", "line 2 has 3 cells, not 2"),
-        ("group,flux\n*,10\n", "", "the heat of patch 0 cannot leave"),
+        ("group,flux\n*,10\n", "", "the heat of patch 0 of group 'floor' cannot leave"),
         (
             "group,temperature,emissivity:0-4,emissivity:5-inf\n*,9,1,1\n",
             "",
@@ -236,3 +240,41 @@ def test_files_that_cannot_be(capsys):
     assert "written as .csv, .npz, .vtu" in capsys.readouterr().err
     assert run("room.obj -c none.csv") not in (0, 70)
     assert "there is no table none.csv" in capsys.readouterr().err
+
+
+def test_a_room_of_one_temperature_exchanges_no_heat(capsys):
+    """What is left in the balance is rounding."""
+    Path("c.csv").write_text("group,temperature,flux,emissivity\nfloor,300,,0.9\n*,,adiabatic,0.5\n")
+    assert run("room.obj -c c.csv --bundles 64 --max-area 0.1") == 0
+    assert {(row["heat"], row["flux"]) for row in rows("heat.csv")} == {("0", "0")}
+
+
+def test_heads_have_units(capsys):
+    """Of groups, and of cases; and a sky without a temperature is told."""
+    Path("hours.csv").write_text("hour,floor:temperature\n9,300\n10,310\n")
+    assert run("room.obj -c c.csv --bundles 16 -o one.csv") == 0
+    assert run("room.obj -c c.csv --bundles 16 --loads hours.csv -o two.csv") == 0
+    assert "sky" not in capsys.readouterr().err
+    heads = [Path(name).read_text().split("\n")[0] for name in ("one.csv", "two.csv")]
+    assert heads[0] == "group,area_m2,temperature_K,lowest_K,highest_K,heat_W,flux_W_m2"
+    assert heads[1].startswith("case,floor:temperature_K,floor:heat_W,")
+    write_body()
+    Path("b.csv").write_text("group,temperature\nbody,300\n")
+    assert run("body.obj -c b.csv --bundles 16") == 0
+    assert "100 % of what the surfaces see is the sky, which is taken to be at 0 K" in capsys.readouterr().err
+    assert run("body.obj -c b.csv --bundles 16 --surroundings 0") == 0
+    err = capsys.readouterr().err
+    assert "at 0 K" not in err and "6 patches, 1 group: " in err
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("floor,300,,0.9\nroof,,5,0\n*,,0,0.5", "patch 1 of group 'roof' has emissivity 0, and can neither"),
+        ("floor,300,,0.9\nroof,,-900,0.5\n*,,0,0.5", "of group 'roof' would have to be colder than 0 K"),
+    ],
+)
+def test_errors_name_the_group(capsys, table, words):
+    Path("c.csv").write_text(f"group,temperature,flux,emissivity\n{table}\n")
+    assert run("room.obj -c c.csv --bundles 64") not in (0, 70)
+    assert words in capsys.readouterr().err

@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from benchmarks.measuring import Record
+from support.buildings import as_idf, energyplus
 from support.run_files import SCENE, example
 from support.weather import written, year
 
@@ -181,6 +182,7 @@ def folder(tmp_path_factory, variant):
     (path / "room.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\ng floor\nf 1 2 3\nv 0 0 1\nv 1 0 1\nv 0 1 1\ng roof\nf 6 5 4\n"
     )
+    (path / "building.idf").write_text(as_idf(energyplus(shift=1.0)).replace("Z1", "Office"))
     (path / "conditions.csv").write_text("group,temperature,flux\nfloor,310,\n*,,adiabatic\n")
     (path / "hours.csv").write_text("hour,floor:temperature\n9:00,300\n10:00,310\n")
     etendue.solve_heat(path / "room.obj", path / "conditions.csv", bundles=8, save=path / "heat.npz")

@@ -12,6 +12,7 @@ import pytest
 
 from etendue.formats import (
     FormatError,
+    Zone,
     elmer_lines,
     energyplus_json,
     energyplus_lines,
@@ -55,18 +56,18 @@ def test_udales(tmp_path, matrix):
 
 
 def test_energyplus(matrix):
-    text = "".join(energyplus_lines(matrix, NAMES, "Z1"))
+    text = "".join(energyplus_lines([Zone("Z1", NAMES, matrix)]))
     fields = [field.strip() for field in text.rstrip(" \n;").split(",")]
     assert fields[:2] == ["ZoneProperty:UserViewFactors:BySurfaceName", "Z1"] and text.endswith(";\n")
     assert text.count(";") == 1 and len(fields) == 2 + 3 * 9
     triples = list(zip(fields[2::3], fields[3::3], map(float, fields[4::3]), strict=True))
     assert triples[0] == ("Z1:Floor", "Z1:Floor", 0.0) and triples[3] == ("Z1:Roof", "Z1:Floor", 0.1)
-    content = json.loads("".join(energyplus_json(matrix, NAMES, "Z1")))
+    content = json.loads("".join(energyplus_json([Zone("Z1", NAMES, matrix)])))
     (made,) = content["ZoneProperty:UserViewFactors:BySurfaceName"].values()
     assert made["zone_or_zonelist_or_space_or_spacelist_name"] == "Z1"
     assert [tuple(entry.values()) for entry in made["view_factors"]] == triples
     with pytest.raises(FormatError, match="EnergyPlus has no names with"):
-        list(energyplus_lines(matrix, ["a,b", "c", "d"], "Z1"))
+        list(energyplus_lines([Zone("Z1", ["a,b", "c", "d"], matrix)]))
 
 
 def test_moose(matrix):

@@ -396,3 +396,9 @@ def test_three_channels_of_a_scene():
     """Patches of a scene have three channels."""
     result = etendue.compute_form_factors(scene_patches("cornell-box"), "spheres", objects="shapes", bundles=2)
     assert (result.factors.row_sums() > 0.5).all()
+
+
+def test_a_single_box_sees_only_the_sky(variant):
+    result = etendue.compute_form_factors(Patches(*box((0, 0, 0), (1, 1, 1), 1)), "spheres", bundles=16)
+    assert result.factors.matrix.nnz == 0
+    np.testing.assert_allclose(result.factors.sky, 1)

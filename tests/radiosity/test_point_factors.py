@@ -23,6 +23,7 @@ from etendue.radiosity import (
     check_point_file,
     joined,
     point_factors,
+    point_factors_to_error,
     read_light,
     read_patches,
 )
@@ -365,3 +366,24 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         assert main(["point-factors", "room.obj", "--points", f"{name}.pts", *words]) in (2, 3), name
         assert message in capsys.readouterr().err, name
     assert main(["point-factors", "room.obj"]) == 2
+
+
+@pytest.mark.parametrize("groups", [False, True])
+def test_rays_until_an_error_is_reached(variant, groups):
+    """Of groups, whose factors are sums; the error is met, and the rays are those that it takes."""
+    patches = Patches(*box((0, 0, 0), (2, 3, 2.5), 3, inward=True))
+    patches.shapes, patches.shape_names = np.arange(len(patches)) % 2, ("a", "b")
+    meters = Meters([[0.7, 1.1, 1.0], [1.5, 2.0, 0.4]], [(0, 0, 1), (0, 0, -1)])
+    found = [point_factors_to_error(patches, meters, error, groups=groups) for error in (3e-3, 3e-4)]
+    for made, error in zip(found, (3e-3, 3e-4), strict=True):
+        assert len(made.names) == len(patches)
+        assert (made.of_groups() if groups else made).largest_error <= error
+    assert found[0].rays < found[1].rays <= 1 << 18
+
+
+def test_an_error_out_of_reach(variant, caplog):
+    meters = Meters([[0.7, 0.5, 0.5]], [(0, 0, 1)])
+    found = point_factors_to_error(cube(2), meters, 1e-9, rays=4096)
+    assert found.rays == 4096 and "up to" in caplog.text and "after 4096 rays of each sensor, the most" in caplog.text
+    with pytest.raises(RadiosityError, match="the error of a factor is a positive number"):
+        point_factors_to_error(cube(2), meters, -1)

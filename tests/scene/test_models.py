@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support import scenes
+from support.patches import box
 from support.running import run
 from support.spectral import spectral_variant
 from support.statistics import assert_agree
@@ -239,11 +240,32 @@ def test_a_model_without_camera_and_light(tmp_path, caplog):
     problem = load(obj(tmp_path, ("floor",)), size=SIZE)
     assert "no camera" in caplog.text and "no light" in caplog.text
     picture = run(problem, "path", passes=4, samples=512).mean
-    sun = 2.0 / np.pi / np.sqrt(1.0 + 0.8**2 + 0.5**2)
-    floor = np.array([0.6, 0.4, 0.2]) * (0.5 + sun)
+    sun = 3.0 / np.pi / np.sqrt(1.0 + 0.8**2 + 0.5**2)
+    floor = np.array([0.6, 0.4, 0.2]) * (0.2 + sun)
     # One of two lights is picked by each of 2,048 samples: relative standard error 0.02, or less if stratified.
     assert picture[SIZE[1] // 2, SIZE[0] // 2] == pytest.approx(floor, rel=0.04)
-    assert picture[0, 0] == pytest.approx(0.5)
+    assert picture[0, 0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("extent", [(1, 1, 1), (30, 6, 20), (2, 5, 2), (4, 3, 12)])
+@pytest.mark.parametrize("size", [(64, 48), (48, 72)])
+def test_a_bare_mesh_is_seen_whole_and_its_sides_differ(tmp_path, caplog, extent, size):
+    """Whatever its shape and that of the picture: the border is sky, and three sides have light of their own."""
+    vertices, faces = box((5, 5, 5), np.add(5, extent), 1)
+    lines = [*(f"v {x} {y} {z}" for x, y, z in vertices), *(f"f {' '.join(map(str, face + 1))}" for face in faces), ""]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    problem = load(tmp_path / "a.obj", size=size)
+    load(tmp_path / "a.obj", size=size)
+    assert caplog.text.count("no camera") == 1  # told once
+    picture = run(problem, "path", passes=1, samples=64).mean[..., 0]
+    border = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
+    np.testing.assert_allclose(border, 0.2, rtol=0.05)  # the filter reaches over the margin
+    inside = np.abs(picture - 0.2) > 0.02
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    assert max(np.ptp(rows), np.ptp(columns)) > 0.5 * min(size)
+    shade, front, top = (0.5 / np.pi * (0.2 * np.pi + 3 * x / np.sqrt(1.89)) for x in (0.0, 0.5, 1.0))
+    for side in (shade, front, top):
+        assert np.count_nonzero(np.abs(picture - side) < 0.2 * side) >= 3
 
 
 def test_a_model_is_sent_to_workers_and_written_as_xml(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from etendue.radiosity import PatchError, diagnose, read_patches
-from etendue.surfaces.readers.polygons import cut_polygons
+from etendue.surfaces.readers.polygons import cut_polygons, ears
 
 meshio = pytest.importorskip("meshio")
 
@@ -79,13 +79,12 @@ def test_every_format_keeps_the_rows_of_its_polygons(name, tmp_path):
         np.testing.assert_array_equal(read_patches(tmp_path / name, emission=array).emission[:, 0], range(8))
 
 
-def test_a_polygon_is_named_if_nothing_of_it_is_left(tmp_path, caplog):
-    faces = [FACES[0], [0, 1, 2, 1, 0], *FACES[1:]]
-    lines = "\n".join(f"{len(face)} {text(face)}" for face in faces)
-    (tmp_path / "a.off").write_text(f"OFF\n10 9 0\n{ROWS}\n{lines}\n")
-    with pytest.raises(PatchError, match="face 1 of 5 corners crosses itself"):
-        read_patches(tmp_path / "a.off")
-    (tmp_path / "a.off").write_text(f"OFF\n10 9 0\n{ROWS}\n{lines.replace('5 0 1 2 1 0', '4 0 1 1 0')}\n")
+@pytest.mark.parametrize("face", ["5 0 1 2 1 0", "4 0 1 1 0", "5 0 0 0 0 0", "6 0 1 1 0 0 1"])
+def test_a_polygon_is_named_if_nothing_of_it_is_left(tmp_path, caplog, face):
+    """Corners that are run to and fro have no area."""
+    lines = "\n".join(f"{len(face)} {text(face)}" for face in FACES).split("\n")
+    lines.insert(1, face)
+    (tmp_path / "a.off").write_text("\n".join(["OFF\n10 9 0", ROWS, *lines, ""]))
     patches = read_patches(tmp_path / "a.off")
     assert "of 9 faces 1 have no area and 0 are duplicates" in caplog.text and "face 1 (" in caplog.text
     np.testing.assert_allclose(patches.areas, np.insert(AREAS, 1, 0))
@@ -108,6 +107,31 @@ def test_stars_are_cut_without_overlap(count, axis):
         whole = np.cross(points[order], np.roll(points[order], -1, axis=0)).sum(axis=0) / 2
         np.testing.assert_allclose(areas.sum(axis=0), whole, atol=1e-12)
         assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(np.linalg.norm(whole))
+
+
+def ring(*corners):
+    return np.array([(x, y, 0.0) for x, y in corners])
+
+
+def test_corners_of_real_polygons(variant):
+    """The first corner again at the end, corners given twice, corners on an edge, a spike, and a chain of
+    holes by seams; each has the area of the polygon."""
+    cases = [
+        (ring((0, 0), (2, 0), (2, 1), (1, 2), (0, 1), (0, 0)), 3.0),
+        (ring((0, 0), (0, 0), (2, 0), (2, 0), (2, 1), (1, 2), (1, 2), (0, 1)), 3.0),
+        (ring((0, 0), (1, 0), (2, 0), (3, 0), (1.5, 1)), 1.5),
+        (ring((0, 0), (3, 0), (3, 1), (5, 1), (3, 1), (0, 1)), 3.0),
+        (ring((0, 0), (0.5, 2), (0.6, 2.4), (0.599, 2.4), (0.5, 2), (0.25, 1)), 0.0),
+    ]
+    there = [c for x in range(1, 10, 2) for c in ((x, 1), (x, 2), (x + 1, 2))]
+    back = [c for x in range(9, 0, -2) for c in ((x + 1, 2), (x + 1, 1), (x, 1))]
+    cases.append((ring((-1, -1), (20, -1), (20, 9), (-1, 9), (-1, -1), *there, *back[1:]), 210.0 - 5.0))
+    for corners, area in cases:
+        triangles = ears(corners)
+        assert triangles is not None
+        found = sum(np.cross(b - a, c - a)[2] / 2 for a, b, c in corners[np.array(triangles, int).reshape(-1, 3)])
+        assert found == pytest.approx(area, abs=1e-3)
+    assert ears(ring((0, 0), (2, 2), (2, 0), (0, 2), (-1, 1))) is None
 
 
 @pytest.mark.parametrize("suffix", ["obj", "off", "ply", "stl", "vtk", "vtp", "vtu", "glb", "gltf", "msh"])

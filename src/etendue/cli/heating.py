@@ -11,7 +11,19 @@ from etendue.core import format_seconds
 
 from . import options as opt
 from .console import Steps, error_console, note, say
-from .patches import Bundles, Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, mesh_arguments
+from .patches import (
+    Bundles,
+    Ids,
+    LineSeed,
+    MaxArea,
+    More,
+    Obstacles,
+    Orient,
+    Periodic,
+    TwoSided,
+    ZoneName,
+    mesh_arguments,
+)
 
 
 def heat(
@@ -43,8 +55,8 @@ def heat(
         typer.Option(
             "-o",
             "--output",
-            help=".csv (groups, or cases), .npz (arrays), and of one case .vtu (faces) and .png (temperatures in false "
-            "colours); repeatable. By default heat.csv.",
+            help=".csv (groups, or cases; heads of columns have units, as heat_W), .npz (arrays), and of one case .vtu "
+            "(faces) and .png (temperatures in false colours); repeatable. By default heat.csv.",
             metavar="FILE",
         ),
     ] = None,
@@ -73,6 +85,7 @@ def heat(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     periodic: Periodic = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
@@ -95,7 +108,7 @@ def heat(
     console, began = error_console(), clock.perf_counter()
     choose_device(variant, threads)
     files = output or [Path("heat.csv")]
-    given = mesh_arguments(ids, two_sided, orient, more, obstacles, periodic)
+    given = mesh_arguments(ids, two_sided, orient, more, obstacles, zone, periodic)
     patches = PatchSource(source=mesh, max_area=max_area, mesh=given).open().patches
     limits = opt.limits(time, error, bundles=bundles)
     with Steps(console, "form factors" if factors is None else "solving"):

@@ -50,7 +50,8 @@ def run_on_patches(task: Task | AtOnce, device: Device, saved: Checkpoint | None
     with _ended_by_a_signal(product):
         if isinstance(task, AtOnce):
             if not device.is_alone:
-                raise OptionError("there are no passes for workers: leave out --cluster and --workers")
+                why = task.why or "there are no passes for workers"
+                raise OptionError(f"{why}: leave out --cluster and --workers")
             with Steps(error_console(), "reading") as steps:
                 result = task.make(steps.update, lambda patches: describe_patches(task.source.name, patches))
         else:
@@ -161,27 +162,39 @@ def _describe_segments(bundles: int, segments: Segments) -> None:
         logger.warning("patches see only the sky: if the mesh is a room, its faces are turned outward; flip them")
 
 
-def _describe_factors(product: FormFactorProduct, result: FormFactorResult) -> None:
+def _describe_factors(product: FormFactorProduct, result: FormFactorResult, which: str = "") -> None:
+    if result.zones is not None:
+        _describe_zones(product, result.zones)
+        return
     factors = result.factors
-    if result.correction is not None:
+    if result.correction is not None and not which:
         _note(str(result.correction))
     if result.stopped_by == "exact":
         sky = (result.patches.areas * factors.outside).sum() / result.patches.areas.sum()
         open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
-        _note(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
+        _note(f"{which}{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
         return
-    describe_factors(factors, f"({'rays' if result.stopped_by == 'rays' else product.estimator})")
+    describe_factors(factors, f"({'rays' if result.stopped_by == 'rays' else product.estimator})", which)
 
 
-def describe_factors(factors: FormFactors, of: str) -> None:
+def describe_factors(factors: FormFactors, of: str, which: str = "") -> None:
     """Say how many form factors there are, their row sums and their errors."""
     from etendue.radiosity import known_rows
 
     errors = factors.row_errors()[known_rows(factors)]
     _note(
-        f"{factors.matrix.nnz} form factors {of}, {_rows(factors)}, standard error of a row {errors.mean():.2g} "
+        f"{which}{factors.matrix.nnz} form factors {of}, {_rows(factors)}, standard error of a row {errors.mean():.2g} "
         f"(at most {errors.max():.2g})"
     )
+
+
+def _describe_zones(product: FormFactorProduct, zones: Mapping[str, FormFactorResult]) -> None:
+    corrections = {name: zone.correction for name, zone in zones.items() if zone.correction is not None}
+    if corrections:
+        most = max(corrections, key=lambda name: corrections[name].largest)
+        _note(f"of all zones, '{most}' is corrected most: {corrections[most]}")
+    for name, zone in zones.items():
+        _describe_factors(product, zone, f"zone '{name}', {len(zone.patches)} patches: ")
 
 
 def _rows(factors: FormFactors) -> str:

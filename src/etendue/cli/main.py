@@ -41,7 +41,7 @@ from .interrupts import leaving
 from .joining import join_factors
 from .measuring import DaylightCommand, MeasureCommand, daylight, measure
 from .particle_maps import app as particles
-from .patches import FactorCommand, SolutionCommand, form_factors, radiosity
+from .patches import FactorCommand, Orient, SolutionCommand, form_factors, radiosity
 from .pictures import PictureCommand, compare, demo, render, run
 from .sensors import point_factors
 from .sunshine import sunlight
@@ -415,6 +415,13 @@ def check(
     scene: opt.Scene,
     json: Annotated[bool, typer.Option("--json", help="Write all findings as JSON to standard output.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer samples; may miss small faults.")] = False,
+    orient: Orient = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Write the mesh as it is tested: .obj, .stl (groups), .ply, .vtu.", metavar="FILE"
+        ),
+    ] = None,
     sensor: opt.Sensor = 0,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
@@ -439,7 +446,16 @@ def check(
     else:
         found = locate(scene, lambda text: note(error_console(), text))
         choose_device(variant, threads, scene=found)
-    return show_check(found, quick=quick, sensor=sensor, seed=seed, parameters=parameters, as_json=json)
+    return show_check(
+        found,
+        quick=quick,
+        as_json=json,
+        sensor=sensor,
+        seed=seed,
+        parameters=parameters,
+        orient=orient,
+        save=output,
+    )
 
 
 @app.command()

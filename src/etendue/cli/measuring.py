@@ -13,7 +13,19 @@ from etendue.core import OptionError
 
 from . import options as opt
 from .console import error_console, note, say
-from .patches import Bundles, Ids, MaxArea, More, Obstacles, Orient, Reflectance, TwoSided, mesh_arguments, quantity
+from .patches import (
+    Bundles,
+    Ids,
+    MaxArea,
+    More,
+    Obstacles,
+    Orient,
+    Reflectance,
+    TwoSided,
+    ZoneName,
+    mesh_arguments,
+    quantity,
+)
 from .settings import settings_in, with_settings
 
 if TYPE_CHECKING:
@@ -209,6 +221,7 @@ def daylight(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
     define: opt.Define = None,
@@ -236,7 +249,7 @@ def daylight(
 
     settings, parameters = settings_in(define), opt.parse_pairs(param, "-P")
     limits = opt.limits(time, error, spp=spp, bundles=bundles)
-    mesh = mesh_arguments(ids, two_sided, orient, more, obstacles, reflectance=quantity(reflectance))
+    mesh = mesh_arguments(ids, two_sided, orient, more, obstacles, zone, reflectance=quantity(reflectance))
     if surfaces:
         if not (points is None and grid is None and cells is None):
             raise OptionError("--surfaces are in place of --points and --grid; give one of them")

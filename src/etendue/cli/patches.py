@@ -88,6 +88,12 @@ Orient = Annotated[
         "--orient", help="Turn the faces of a mesh: outward (of solids) or inward (into rooms).", metavar="SIDE"
     ),
 ]
+ZoneName = Annotated[
+    str | None,
+    typer.Option(
+        "--zone", help="Of EnergyPlus, or room of Honeybee: only its surfaces, without other zones.", metavar="NAME"
+    ),
+]
 Periodic = Annotated[
     opt.Lengths | None,
     typer.Option(
@@ -161,14 +167,15 @@ def mesh_arguments(
     orient: str | None,
     more: list[Path] | None,
     obstacles: list[Path] | None,
+    zone: str | None,
     periodic: opt.Lengths | None = None,
     **named: Any,
 ) -> dict[str, Any]:
     """Arguments of ``read_patches``, with further files where a checkpoint finds them again."""
     files = {"more": more, "obstacles": obstacles}
     further = {name: [str(path.absolute()) for path in some] if some else None for name, some in files.items()}
-    given = {"ids": ids, "two_sided": two_sided, "orient": orient, "periodic": periodic and tuple(periodic)}
-    return {**given, **further, **named}
+    given = {"ids": ids, "two_sided": two_sided, "orient": orient, "zone": zone}
+    return {**given, "periodic": periodic and tuple(periodic), **further, **named}
 
 
 def form_factors(
@@ -240,6 +247,7 @@ def form_factors(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     periodic: Periodic = None,
     exact: Annotated[bool, typer.Option("--exact", help="Earlier name of -m exact.", hidden=True)] = False,
     hierarchy: Hierarchy = None,
@@ -284,7 +292,7 @@ def form_factors(
         outputs=files,
         seed=seed or 0,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, periodic, reflectance=quantity(reflectance)),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, zone, periodic, reflectance=quantity(reflectance)),
         parameters=opt.parse_pairs(param, "-P"),
         checkpoint=checkpoint,
         checkpoint_beside=opt.checkpoint_beside(files[0], checkpoint, no_checkpoint),
@@ -395,6 +403,7 @@ def radiosity(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     periodic: Periodic = None,
     seed: LineSeed = None,
     hierarchy: Hierarchy = None,
@@ -514,6 +523,7 @@ def radiosity(
             orient,
             more,
             obstacles,
+            zone,
             periodic,
             reflectance=quantity(reflectance),
             emission=quantity(emission),

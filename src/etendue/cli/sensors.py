@@ -13,7 +13,7 @@ from etendue.core import format_seconds
 from . import options as opt
 from .console import Steps, error_console, note, say
 from .measuring import Cells, Grid, Points, meters_of
-from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, mesh_arguments
+from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, ZoneName, mesh_arguments
 
 
 def point_factors(
@@ -53,6 +53,12 @@ def point_factors(
     rays: Annotated[
         int | None, typer.Option("--rays", help="Of each sensor; 8192 if not given.", metavar="N", min=1)
     ] = None,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            "--error", help="Cast until no factor has a larger standard error, at most --rays if given.", metavar="X"
+        ),
+    ] = None,
     solution: Annotated[
         Path | None,
         typer.Option(
@@ -67,6 +73,7 @@ def point_factors(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     periodic: Periodic = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
@@ -90,7 +97,7 @@ def point_factors(
     source = PatchSource(
         source=mesh,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, periodic),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, zone, periodic),
         parameters=opt.parse_pairs(param, "-P"),
     )
     asked = {"up": up, "seed": seed or 0} | ({} if rays is None else {"rays": rays})
@@ -103,6 +110,7 @@ def point_factors(
             lambda patches: describe_patches(source.name, patches),
             groups=groups,
             solution=solution,
+            error=error,
             **asked,
         )
     note(error_console(), f"{found.summary()}; in {format_seconds(time.perf_counter() - began)}")

@@ -13,7 +13,7 @@ from etendue.core import OptionError, format_count, format_seconds
 
 from . import options as opt
 from .console import Steps, error_console, note, say
-from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, mesh_arguments
+from .patches import Ids, LineSeed, MaxArea, More, Obstacles, Orient, Periodic, TwoSided, ZoneName, mesh_arguments
 
 if TYPE_CHECKING:
     from etendue.lighting import Suns
@@ -71,6 +71,7 @@ def sunlight(
     more: More = None,
     obstacles: Obstacles = None,
     orient: Orient = None,
+    zone: ZoneName = None,
     periodic: Periodic = None,
     seed: LineSeed = None,
     variant: opt.Variant = None,
@@ -94,7 +95,7 @@ def sunlight(
     source = PatchSource(
         source=mesh,
         max_area=max_area,
-        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, periodic),
+        mesh=mesh_arguments(ids, two_sided, orient, more, obstacles, zone, periodic),
         parameters=opt.parse_pairs(param, "-P"),
     )
     with Steps(error_console(), "reading") as steps:

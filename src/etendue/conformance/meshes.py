@@ -6,20 +6,34 @@ from pathlib import Path
 
 import numpy as np
 
-from etendue.surfaces import MeshDiagnosis, Patches, diagnose, named_faces, orientation, read_patches
+from etendue.surfaces import (
+    MeshDiagnosis,
+    Patches,
+    check_patch_file,
+    diagnose,
+    named_faces,
+    orientation,
+    read_patches,
+    save_patches,
+)
 
 from .report import Finding, Findings
 
 
-def check_mesh(path: Path, seed: int = 0) -> list[Finding]:
-    """Test the faces of a mesh file.
+def check_mesh(path: Path, seed: int = 0, orient: str | None = None, save: Path | None = None) -> list[Finding]:
+    """Test the faces of a mesh file; ``orient``: after they were turned ``outward`` or ``inward``, as
+    :func:`etendue.surfaces.read_patches` does; ``save``: a file for them, see :func:`etendue.surfaces.save_patches`.
 
     The tests are ``faces`` (with an area, none given twice), ``overlaps`` (none on each other that face the same way),
     ``edges`` (every edge has two faces) and ``orientation`` (fronts are outside of solids, or all inside of rooms; see
     :func:`etendue.surfaces.orientation`). Open edges are a warning: light leaves through them. Raises
     :class:`etendue.surfaces.PatchError` for a file that cannot be read.
     """
-    patches = read_patches(path)
+    if save is not None:
+        check_patch_file(save)
+    patches = read_patches(path, orient=orient)
+    if save is not None:
+        save_patches(save, patches)
     found = diagnose(patches)
     findings = Findings(f"mesh {path.name}")
     empty = int(np.count_nonzero(patches.empty))
@@ -60,8 +74,8 @@ def _check_orientation(findings: Findings, patches: Patches, is_whole: bool, is_
     wrong = both[side].wrong if is_mixed else np.setdiff1d(both[side].wrong, down)
     undecided = both[side].undecided
     bad = (
-        f"most fronts are turned {side}, but {len(wrong)} are not: {named_faces(wrong)} (counted from 0); form-factors "
-        f"and radiosity turn them with --orient {side}"
+        f"most fronts are turned {side}, but {len(wrong)} are not: {named_faces(wrong)} (counted from 0); --orient "
+        f"{side} turns them, here with -o in a new file, and in form-factors, radiosity and heat"
     )
     if len(wrong) and not is_whole:
         findings.warn("orientation", float(len(wrong)), 0.0, bad)

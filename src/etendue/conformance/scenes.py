@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import SceneError, UnsupportedError, use_variant
+from etendue.core import OptionError, SceneError, UnsupportedError, use_variant
 from etendue.scene import Problem, Source, graph, is_model, load
 from etendue.surfaces import is_mesh_file
 
@@ -37,13 +37,16 @@ def check(
     parameters: Mapping[str, Any] | None = None,
     variants: Sequence[str] = (),
     seed: int = 0,
+    orient: str | None = None,
+    save: Path | None = None,
 ) -> Report:
     """Test materials, textures, emitters, sensors and ray casting of a scene, and the faces of a model; of other mesh
     files the faces alone (:func:`check_mesh`).
 
     ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` uses fewer samples and may miss small
     faults. ``variants``: other Mitsuba variants for the test of ray casting, such as ``scalar_rgb``. The same
-    ``seed`` gives the same report. Unsupported scenes fail the test ``supported``, broken ones the test ``broken``.
+    ``seed`` gives the same report. ``orient``, ``save``: of a mesh file or model, see :func:`check_mesh`. Unsupported
+    scenes fail the test ``supported``, broken ones the test ``broken``.
 
     Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for an invalid sensor.
     """
@@ -51,7 +54,10 @@ def check(
     began = time.perf_counter()
     path = Path(scene) if isinstance(scene, (str, os.PathLike)) else None
     if path is not None and is_mesh_file(path):
-        return Report(str(path), tuple(check_mesh(path, seed)), time.perf_counter() - began)
+        return Report(str(path), tuple(check_mesh(path, seed, orient, save)), time.perf_counter() - began)
+    has_faces = path is not None and is_model(path)
+    if not has_faces and (orient is not None or save is not None):
+        raise OptionError("orient and save are for mesh files; the faces of a scene in XML are turned in its own files")
     problem, rows = _load(scene, sensor, parameters)
     loaded = problem.scene
     broken = any(row.test == "broken" for row in rows)  # its geometry may be invalid
@@ -72,8 +78,8 @@ def check(
         for item in sensors:
             rows += check_sensor(item, loaded, seed=seed)
         rows += check_ray_casting(loaded, variants=variants, quick=quick, seed=seed)
-    if path is not None and is_model(path):
-        rows += check_mesh(path, seed)
+    if path is not None and has_faces:
+        rows += check_mesh(path, seed, orient, save)
     return Report(problem.source, tuple(rows), time.perf_counter() - began)
 
 

@@ -3,6 +3,7 @@
 from .arrays import save_arrays as save_arrays
 from .elmer import elmer_lines as elmer_lines
 from .energyplus import (
+    Zone as Zone,
     check_idf_names as check_idf_names,
     energyplus_json as energyplus_json,
     energyplus_lines as energyplus_lines,

@@ -1,10 +1,11 @@
-"""View factors of a zone as the object ``ZoneProperty:UserViewFactors:BySurfaceName`` of EnergyPlus."""
+"""View factors of zones as objects ``ZoneProperty:UserViewFactors:BySurfaceName`` of EnergyPlus."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .errors import FormatError
@@ -24,28 +25,40 @@ def check_idf_names(names: Sequence[str]) -> None:
             raise FormatError(f"EnergyPlus has no names with ',', ';' or '!', as '{name}': rename it")
 
 
-def energyplus_lines(matrix: scipy.sparse.csr_array, names: Sequence[str], zone: str) -> Iterator[str]:
-    """Lines of an IDF file: the ``zone``, then for every pair of surfaces, also of one with itself, the names of both
-    and F (n, n) from the first to the second. Raises :class:`FormatError` for names that it cannot contain."""
-    check_idf_names([zone, *names])
-    yield f"{_OBJECT},\n  {zone},\n"
-    last = len(names) ** 2 - 1
-    for k, (first, second, factor) in enumerate(_pairs(matrix, names)):
-        yield f"  {first}, {second}, {factor:.8f}{';' if k == last else ','}\n"
+@dataclass(frozen=True)
+class Zone:
+    """A zone, or another enclosure: its name, the names of its n surfaces, and F (n, n) from the row to the column."""
+
+    name: str
+    surfaces: Sequence[str]
+    matrix: scipy.sparse.csr_array
 
 
-def energyplus_json(matrix: scipy.sparse.csr_array, names: Sequence[str], zone: str) -> Iterator[str]:
+def energyplus_lines(zones: Iterable[Zone]) -> Iterator[str]:
+    """Lines of an IDF file, an object for each zone: its name, then for every pair of surfaces, also of one with
+    itself, the names of both and F. Raises :class:`FormatError` for names that it cannot contain."""
+    for zone in zones:
+        check_idf_names([zone.name, *zone.surfaces])
+        yield f"{_OBJECT},\n  {zone.name},\n"
+        last = len(zone.surfaces) ** 2 - 1
+        for k, (first, second, factor) in enumerate(_pairs(zone)):
+            yield f"  {first}, {second}, {factor:.8f}{';' if k == last else ','}\n"
+
+
+def energyplus_json(zones: Iterable[Zone]) -> Iterator[str]:
     """The same as epJSON, in the schema of recent versions."""
-    factors = [
-        {"from_surface": first, "to_surface": second, "view_factor": round(factor, 8)}
-        for first, second, factor in _pairs(matrix, names)
-    ]
-    content = {_OBJECT: {f"view factors {zone}": {_ZONE: zone, "view_factors": factors}}}
-    yield json.dumps(content, indent=1) + "\n"
+    objects = {}
+    for zone in zones:
+        factors = [
+            {"from_surface": first, "to_surface": second, "view_factor": round(factor, 8)}
+            for first, second, factor in _pairs(zone)
+        ]
+        objects[f"view factors {zone.name}"] = {_ZONE: zone.name, "view_factors": factors}
+    yield json.dumps({_OBJECT: objects}, indent=1) + "\n"
 
 
-def _pairs(matrix: scipy.sparse.csr_array, names: Sequence[str]) -> Iterator[tuple[str, str, float]]:
-    for i, first in enumerate(names):
-        row = matrix[[i]].toarray()[0]
-        for second, factor in zip(names, row.tolist(), strict=True):
+def _pairs(zone: Zone) -> Iterator[tuple[str, str, float]]:
+    for i, first in enumerate(zone.surfaces):
+        row = zone.matrix[[i]].toarray()[0]
+        for second, factor in zip(zone.surfaces, row.tolist(), strict=True):
             yield first, second, factor

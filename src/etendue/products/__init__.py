@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         check_files as check_files,
         listed as listed,
     )
-    from .heat import HeatResult as HeatResult, heat_files as heat_files
+    from .heat import HeatResult as HeatResult, heat_files as heat_files, warn_of_cold_sky as warn_of_cold_sky
     from .patchpictures import patch_picture as patch_picture
     from .pictures import (
         Image as Image,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
-from etendue.core import Array, OptionError, checked_path
+from etendue.core import Array, OptionError, checked_path, format_count, logger
 from etendue.display import write_png
 from etendue.formats import save_arrays, write_mesh
 from etendue.radiosity import FormFactors, HeatBalance
@@ -25,10 +25,14 @@ _SUFFIXES = (".csv", ".npz", ".vtu", ".png")
 _OF_ONE_CASE = (".vtu", ".png")
 #: Columns of a group.
 _COLUMNS = ("area", "temperature", "lowest", "highest", "heat", "flux")
-#: Heat below this share of the largest is that of rounding, and written as 0.
+#: What follows the name of a column in a table.
+_UNITS = {"area": "m2", "temperature": "K", "lowest": "K", "highest": "K", "heat": "W", "flux": "W_m2"}
+#: Heat below this share of the radiation that a group sends, at most, is that of rounding, and written as 0.
 _ROUNDING = 1e-9
 #: Share of the surroundings in what patches see, above which a mesh is open.
 _OPEN = 1e-9
+#: Share of the sky that is worth a warning if its temperature is not given.
+_COLD = 1e-3
 
 
 @dataclass(repr=False)
@@ -64,7 +68,8 @@ class HeatResult:
         return made
 
     def save(self, path: PathLike) -> None:
-        """Write ``.csv``, a row for each group, or with several cases for each case; ``.npz``, arrays by patch; or, of
+        """Write ``.csv``, a row for each group, or with several cases for each case, with the unit in the head of each
+        column, as ``temperature_K``; ``.npz``, arrays by patch; or, of
         one case, ``.vtu``, faces with temperatures for ParaView, or ``.png``, temperatures in false colours
         (:func:`patch_picture`). Raises :class:`OptionError` for another suffix, :class:`OutputError` if the file cannot
         be written."""
@@ -102,13 +107,15 @@ class HeatResult:
 
     def _rows(self) -> list[list[Any]]:
         table = self.table()
-        for name in ("heat", "flux"):
-            table[name][np.abs(table[name]) < _ROUNDING * np.nanmax(np.abs(table[name]), initial=0.0)] = 0.0
+        sent = np.abs(self.balance.radiosity)
+        by_group = np.bincount(self.group, self.balance.patches.areas * sent.max(axis=1))
+        for name, scale in (("heat", by_group.max()), ("flux", sent.max())):
+            table[name][np.abs(table[name]) < _ROUNDING * scale] = 0.0
         if len(self.cases) == 1:
             rows = [[name, *(_text(table[c][g, 0]) for c in _COLUMNS)] for g, name in enumerate(self.names)]
-            return [["group", *_COLUMNS], *rows]
+            return [["group", *map(_head, _COLUMNS)], *rows]
         pairs = [(g, c) for g in range(len(self.names)) for c in ("temperature", "heat")]
-        heads = ["case", *(f"{self.names[g]}:{c}" for g, c in pairs)]
+        heads = ["case", *(f"{self.names[g]}:{_head(c)}" for g, c in pairs)]
         return [heads, *([case, *(_text(table[c][g, k]) for g, c in pairs)] for k, case in enumerate(self.cases))]
 
     def summary(self) -> str:
@@ -116,11 +123,26 @@ class HeatResult:
         found = self.balance
         t = found.temperature[np.isfinite(found.temperature)]
         cases = f", {len(self.cases)} cases" if len(self.cases) > 1 else ""
-        words = f"{len(self.names)} groups{cases}: {t.min():.2f} to {t.max():.2f} K" if len(t) else "no temperatures"
+        words = (
+            f"{format_count(len(self.names), 'group')}{cases}: {t.min():.2f} to {t.max():.2f} K"
+            if len(t)
+            else "no temperatures"
+        )
         newton = f"{found.steps} steps of Newton's method, " if found.steps > 1 else ""
         return (
             f"{words}, {newton}residual {found.residual:.1g}, heat that is lost or gained {found.imbalance.max():.2g} "
             "of all"
+        )
+
+
+def warn_of_cold_sky(factors: FormFactors) -> None:
+    """Say how much of what patches see is the sky, whose temperature nobody has given."""
+    share = float(factors.areas @ factors.outside / factors.areas.sum())
+    if share > _COLD:
+        logger.warning(
+            "%.3g %% of what the surfaces see is the sky, which is taken to be at 0 K: give its temperature "
+            "(--surroundings, surroundings=), or close the mesh",
+            100 * share,
         )
 
 
@@ -141,6 +163,11 @@ def heat_files(save: PathLike | Sequence[PathLike], cases: int) -> tuple[Path, .
         check_heat_file(path, cases)
     check_files(files)
     return files
+
+
+def _head(column: str) -> str:
+    """The head of a column: its name and unit."""
+    return f"{column}_{_UNITS[column]}"
 
 
 def _text(value: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,8 @@ class FormFactorResult(InNotebooks):
     correction: Correction | None = None
     #: The factors between groups, if they were asked for.
     groups: FormFactors | None = None
+    #: The results of the zones of a building by name, each computed by itself, if there are several.
+    zones: Mapping[str, FormFactorResult] | None = None
     segments: Segments | None = None
     #: Bundles that were cast.
     bundles: int = 0

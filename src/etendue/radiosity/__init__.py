@@ -79,6 +79,7 @@ from .factors.groups import between_groups as between_groups, group_index as gro
 from .factors.localfactors import area_form_factors as area_form_factors, local_form_factors as local_form_factors
 from .factors.rows import joined_rows as joined_rows, known_rows as known_rows
 from .factors.skyparts import sky_parts as sky_parts
+from .factors.zones import joined_zones as joined_zones
 from .files.colours import coloured_mesh as coloured_mesh
 from .files.conditions import read_conditions as read_conditions
 from .files.factorfiles import (
@@ -158,7 +159,11 @@ from .lines.local import LocalRays as LocalRays
 from .lines.mixing import MixedSegments as MixedSegments, with_local_rays as with_local_rays
 from .lines.segments import Segments as Segments
 from .lines.spiral import SpiralPoints as SpiralPoints
-from .pointfactors import PointFactors as PointFactors, point_factors as point_factors
+from .pointfactors import (
+    PointFactors as PointFactors,
+    point_factors as point_factors,
+    point_factors_to_error as point_factors_to_error,
+)
 from .pointviews import PointViews as PointViews, point_views as point_views
 from .problem import PatchProblem as PatchProblem
 from .solvers.daylight import daylight_of_patches as daylight_of_patches

@@ -12,7 +12,8 @@ from etendue.core import Array, short_repr
 from etendue.surfaces import STEFAN_BOLTZMANN, Patches
 
 from .errors import RadiosityError
-from .heatbands import Nodes, check_edges, check_ends, emitted, joint_balance
+from .factors.groups import named_patch
+from .heatbands import Nodes, check_edges, check_ends, emitted, joint_balance, too_cold
 from .solvers.system import Solver, Transport, solve
 
 #: Newton's steps at most, and the change of a temperature, relative, after which they end.
@@ -163,11 +164,15 @@ def _balance(
     given = ~np.isnan(t)
     filled = np.where(given, t, -1.0)
     if (torn := np.flatnonzero((np.abs(filled - nodes.mean(filled)) > 1e-9 * np.abs(filled)).any(axis=1))).size:
-        raise RadiosityError(f"patch {torn[0]} has one temperature with others: give it to all of them, or to none")
+        which = named_patch(patches, torn[0])
+        raise RadiosityError(f"{which} has one temperature with others: give it to all of them, or to none")
     takes = nodes.mean(e.sum(axis=-1) + h)
     impossible = np.flatnonzero((~given & (takes == 0) & (q != 0)).any(axis=1))
     if len(impossible):
-        raise RadiosityError(f"patch {impossible[0]} has emissivity 0, and can neither send nor receive a heat flux")
+        raise RadiosityError(
+            f"{named_patch(patches, impossible[0])} has emissivity 0, and can neither send nor receive a heat flux: "
+            "give it an emissivity above 0, or make it adiabatic"
+        )
     found = ~given & (takes > 0) & (nodes.mean(np.broadcast_to(patches.areas[:, None], t.shape)) > 0)
     if found.any():
         check_ends(patches, transport, nodes, e, given, found, h)
@@ -212,7 +217,7 @@ def _grey(
         reflectance, emission = _tangent(coupled, temperature, e, q, h, ambient, reflectance, emission)
     for step in range(1, _STEPS + 1):
         radiosity, irradiance = linear(reflectance, emission, sky)
-        found = np.where(given, t, _temperatures(irradiance, e, q, h, ambient, patches.areas > 0))
+        found = np.where(given, t, _temperatures(patches, irradiance, e, q, h, ambient))
         change = np.abs(found - temperature)[coupled].max(initial=0.0)
         temperature = found
         if change <= _SETTLED * np.abs(temperature[coupled]).max(initial=1.0):
@@ -245,14 +250,11 @@ def _tangent(
     return np.where(coupled, slope, reflectance), np.where(coupled, tangent, emission)
 
 
-def _temperatures(irradiance: Array, e: Array, q: Array, h: Array, ambient: Array, exists: NDArray[np.bool_]) -> Array:
+def _temperatures(patches: Patches, irradiance: Array, e: Array, q: Array, h: Array, ambient: Array) -> Array:
     """Temperatures of patches that send q + h (ambient - T): the root of e sigma T^4 + h T = e G + q + h ambient."""
     right = e * irradiance + q + h * ambient
-    cold = np.flatnonzero((exists[:, None] & (right < -1e-9 * np.abs(q))).any(axis=1))
-    if len(cold):
-        raise RadiosityError(
-            f"patch {cold[0]} would have to be colder than 0 K to take up the heat flux that it is given"
-        )
+    if (cold := (patches.areas > 0)[:, None] & (right < -1e-9 * np.abs(q))).any():
+        raise RadiosityError(too_cold(patches, cold, q))
     right = np.maximum(right, 0.0)
     a = e * STEFAN_BOLTZMANN
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -12,6 +12,7 @@ from etendue.core import Array
 from etendue.surfaces import STEFAN_BOLTZMANN, Patches, band_emission
 
 from .errors import RadiosityError
+from .factors.groups import named_patch
 from .solvers.system import Transport
 
 #: Newton's steps at most; the change of a temperature, relative, after which they end; and the last residual of GMRES.
@@ -123,10 +124,8 @@ def joint_balance(
         temperature = after
         if moved <= _SETTLED:
             cold = found & (temperature <= _COLD)
-            if (frozen := np.flatnonzero((cold & (missing < -1e-9 * np.abs(q).max())).any(axis=1))).size:
-                raise RadiosityError(
-                    f"patch {frozen[0]} would have to be colder than 0 K to take up the heat flux that it is given"
-                )
+            if (frozen := cold & (missing < -1e-9 * np.abs(q).max())).any():
+                raise RadiosityError(too_cold(patches, frozen, q))
             temperature = np.where(lost, np.nan, np.where(cold, 0.0, temperature))
             return temperature, e * emitted(np.nan_to_num(temperature), edges)[0] + (1 - e) * arrived, step
     raise RadiosityError(
@@ -167,6 +166,17 @@ def _gmres(
     return np.asarray(found.reshape(shape), np.float64)
 
 
+def too_cold(patches: Patches, frozen: NDArray[np.bool_], flux: Array) -> str:
+    """A message on one of the ``frozen`` patches (n, c), which take up more heat than they can: of those that are to
+    take up some, if there are."""
+    asked = frozen & (flux < 0)
+    which = np.flatnonzero((asked if asked.any() else frozen).any(axis=1))[0]
+    return (
+        f"{named_patch(patches, which)} would have to be colder than 0 K to take up the heat flux that it is given: "
+        "give it a smaller one, or surfaces around it that are warmer"
+    )
+
+
 def check_ends(
     patches: Patches,
     transport: Transport,
@@ -203,6 +213,6 @@ def check_ends(
     stuck = np.flatnonzero((found & (h == 0) & ~(ends & takes).any(axis=-1) & sees[:, None]).any(axis=1))
     if len(stuck):
         raise RadiosityError(
-            f"the heat of patch {stuck[0]} cannot leave: give a patch that it reaches a temperature or a conductance, "
-            "and an emissivity above 0, if by bands in a band that arrives there"
+            f"the heat of {named_patch(patches, stuck[0])} cannot leave: give a patch that it reaches a temperature or "
+            "a conductance, and an emissivity above 0, if by bands in a band that arrives there"
         )

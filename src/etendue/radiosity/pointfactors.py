@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 #: Rays of a point unless told, and at least; their independent replicates.
 RAYS = 8192
 _FEWEST, _REPLICATES = 128, 8
+#: Rays of a point at most; and at first, if an error is to be reached. It falls with this power of their number.
+MOST_RAYS = _REPLICATES * BATCH
+_FIRST, _POWER = 1024, 0.75
 #: Sky, backs of faces and ground: the columns that follow those of the patches.
 _ENDS = 3
 #: Points closer to a face than about this lie on it, in radii; least cosine of the normals of a sensor and its face.
@@ -134,15 +137,20 @@ class PointFactors:
         joins = sparse().csr_array((np.ones(len(place)), (np.arange(len(place)), place)))
         return replace(self, names=names, hits=self.hits @ joins)
 
+    @property
+    def largest_error(self) -> float:
+        """The largest standard error of a factor, also of the sky, the ground and backs."""
+        ends = (self.ends[f"{name}_error"].max() for name in ("sky", "ground", "dark"))
+        return float(max(self.errors.max(), *ends))
+
     def summary(self) -> str:
         """One line: ``9 sensors see 12 % sky and 3 % ground; errors up to 0.0012, 8192 rays each``."""
-        largest = max(self.errors.max(), *(self.ends[f"{name}_error"].max() for name in ("sky", "ground", "dark")))
         lit = self.irradiance
         light = "" if lit is None else f", irradiance {lit.min():.4g} to {lit.max():.4g} W/m^2"
         sky, ground = (format_number(100 * share.mean()) for share in (self.sky, self.ground))
         what = "sensor sees" if len(self) == 1 else "sensors see"
         seen = f"{len(self)} {what} {sky} % sky and {ground} % ground{light}"
-        return f"{seen}; errors up to {largest:.2g}, {self.rays} rays each"
+        return f"{seen}; errors up to {self.largest_error:.2g}, {self.rays} rays each"
 
     def _by_replicate(self, values: ArrayLike, sky: ArrayLike) -> Array:
         """(k, 8) or (k, 8, c) means over what the rays of each replicate meet."""
@@ -193,8 +201,8 @@ def point_factors(
         raise RadiosityError(
             f"view factors are of plane sensors (irradiance) or spherical ones, not of '{meters.quantity}' ones"
         )
-    if not is_whole(rays) or not _FEWEST <= rays <= _REPLICATES * BATCH:
-        raise RadiosityError(f"a sensor has {_FEWEST} to {_REPLICATES * BATCH} rays, not {rays!r}")
+    if not is_whole(rays) or not _FEWEST <= rays <= MOST_RAYS:
+        raise RadiosityError(f"a sensor has {_FEWEST} to {MOST_RAYS} rays, not {rays!r}")
     check_up(patches, up)
     upward = compass(up)[2]
     use_variant()
@@ -212,6 +220,35 @@ def point_factors(
     found = PointFactors(patches, meters, row_names(no_factors(patches)), each * _REPLICATES, hits)
     _warn_of_backs(found)
     return found
+
+
+def point_factors_to_error(
+    patches: Patches,
+    meters: Meters,
+    error: float,
+    *,
+    groups: bool = False,
+    rays: int = MOST_RAYS,
+    **options: Any,
+) -> PointFactors:
+    """:func:`point_factors` with so many rays that no factor has a larger standard ``error``; at most ``rays``, and a
+    warning if these do not reach it. groups: no factor of a group of patches. Raises :class:`RadiosityError` for an
+    error that is not positive."""
+    if not 0 < error < np.inf:
+        raise RadiosityError(f"the error of a factor is a positive number, not {error!r}")
+    count = min(_FIRST, rays)
+    while True:
+        found = point_factors(patches, meters, rays=count, **options)
+        if (largest := (found.of_groups() if groups else found).largest_error) <= error:
+            return found
+        if found.rays >= rays:
+            logger.warning(
+                "errors of factors are up to %.2g after %d rays of each sensor, the most, and not %g: ask for a larger "
+                "error, more rays, or groups",
+                *(largest, found.rays, error),
+            )
+            return found
+        count = min(int(found.rays * max((largest / error) ** (1 / _POWER), 2.0)), rays)
 
 
 class _Cast:

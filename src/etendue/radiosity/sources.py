@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -120,8 +121,16 @@ class PatchSource:
         return str(self.source) if isinstance(self.source, (str, os.PathLike)) else "<scene>"
 
     def open(self, tell: Callable[[str], object] = logger.info) -> PatchProblem:
-        """Read the patches. Raises :class:`SceneError` for a source without light, if light is to be transported, and
-        the errors of reading."""
+        """Read the patches, unless that is done. Raises :class:`SceneError` for a source without light, if light is to
+        be transported, and the errors of reading."""
+        return self.__dict__["problem"] if "problem" in self.__dict__ else self._read(tell)
+
+    @cached_property
+    def problem(self) -> PatchProblem:
+        """What is read, for a choice before the run."""
+        return self._read(lambda _: None)
+
+    def _read(self, tell: Callable[[str], object]) -> PatchProblem:
         scene = self.scene(tell)
         return self._checked(self.patches(scene), scene)
 

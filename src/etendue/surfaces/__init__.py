@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .objects import Objects as Objects, find_objects as find_objects
     from .orienting import Orientation as Orientation, orientation as orientation
     from .patches import Patches as Patches
+    from .patchfiles import check_patch_file as check_patch_file, save_patches as save_patches
     from .periods import LEAST_SLOPE as LEAST_SLOPE
     from .places import PatchSurfaces as PatchSurfaces, Place as Place, SurfaceValues as SurfaceValues
     from .rays.raycasting import STEP as STEP, Hits as Hits, RayScene as RayScene
@@ -80,7 +81,11 @@ if TYPE_CHECKING:
         even_lanes as even_lanes,
         pairs_of as pairs_of,
     )
-    from .readers.meshfiles import is_mesh_file as is_mesh_file, read_patches as read_patches
+    from .readers.meshfiles import (
+        is_mesh_file as is_mesh_file,
+        may_have_zones as may_have_zones,
+        read_patches as read_patches,
+    )
     from .readers.sceneparts import has_instances as has_instances, scene_parts as scene_parts
     from .readers.scenepatches import lamps_apart as lamps_apart, scene_patches as scene_patches
     from .readers.tessellation import shape_triangles as shape_triangles
@@ -91,5 +96,6 @@ if TYPE_CHECKING:
         vertex_radiosity as vertex_radiosity,
     )
     from .spheres import bounding_sphere as bounding_sphere, joint_sphere as joint_sphere
+    from .zones import zone_names as zone_names, zone_parts as zone_parts
 else:
     __getattr__, __dir__ = on_use(__name__)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import short_repr
+from etendue.core import Array, short_repr
 
 from .faces import repeated
 from .patches import Patches
+from .zones import face_zones
 
 Index = NDArray[np.int64]
 
@@ -61,7 +63,8 @@ class MeshDiagnosis:
 
 
 def diagnose(patches: Patches) -> MeshDiagnosis:
-    """Find faces that lie on each other, and edges that a closed mesh cannot have."""
+    """Find faces that lie on each other, and edges that a closed mesh cannot have; of zones each by itself."""
+    zones = face_zones(patches)
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[patches.faces]
     sided = np.flatnonzero(patches.back < 0)
@@ -71,24 +74,40 @@ def diagnose(patches: Patches) -> MeshDiagnosis:
     real = start != end
     where = np.stack([patches.faces[sided].ravel(), np.roll(patches.faces[sided], -1, axis=1).ravel()], axis=1)[real]
     start, end = start[real], end[real]
+    zone = np.broadcast_to(zones[sided, None], faces[sided].shape).ravel()[real]
     key = np.minimum(start, end) * (len(place) + 1) + np.maximum(start, end)
+    key = key * (zones.max() + 2) + zone + 1
     _, first, inverse, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     forward = np.bincount(inverse.reshape(-1), start < end)
     duplicates, clashing = repeated(patches.vertices, patches.faces), patches.coincident.clashing
+    clashing = clashing[zones[clashing[:, 0]] == zones[clashing[:, 1]]]
     return MeshDiagnosis(
         duplicates=duplicates,
         overlaps=clashing[~np.isin(clashing, duplicates).any(axis=1)],
-        open_edges=_unmatched(patches, where[first[count == 1]]),
+        open_edges=_unmatched(patches, where[first[count == 1]], zone[first[count == 1]]),
         crowded_edges=where[first[count > 2]],
         flipped_edges=where[first[(count == 2) & (forward != 1)]],
         one_sided=len(sided),
     )
 
 
-def _unmatched(patches: Patches, edges: Index) -> Index:
-    """The edges (e, 2) with a part along which no others run in the opposite direction."""
+def _unmatched(patches: Patches, edges: Index, zone: Index) -> Index:
+    """The edges (e, 2) with a part along which no others of their zone run in the opposite direction."""
+    return edges[_with_part(patches, edges, zone, lambda sign, runs: (sign * runs).sum(axis=0) != 0)]
+
+
+def free_edges(patches: Patches, edges: Index) -> NDArray[np.bool_]:
+    """(e,) whether an edge has a part along which no other one runs, in any direction."""
+    return _with_part(patches, edges, np.zeros(len(edges), np.int64), lambda sign, runs: runs.sum(axis=0) == 1)
+
+
+def _with_part(
+    patches: Patches, edges: Index, zone: Index, is_meant: Callable[[Array, NDArray[np.bool_]], NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """(e,) whether a part of an edge ``is_meant``, by the directions (k, 1) of the edges along a line, and which of
+    them run along each of its parts (k, p)."""
     if len(edges) < 2:
-        return edges
+        return np.ones(len(edges), bool)
     centre, radius = patches.sphere
     start, end = ((patches.vertices[edges[:, k]] - centre) / radius for k in range(2))
     direction = end - start
@@ -100,15 +119,14 @@ def _unmatched(patches: Patches, edges: Index) -> Index:
     low, high = ((v * direction).sum(axis=1) for v in (start, end))
     foot = start - low[:, None] * direction
     # Round numbers are not at the border of two steps.
-    rounded = np.round(np.concatenate([direction, foot], axis=1) / _SHORT + 0.37)
+    rounded = np.column_stack([np.round(np.concatenate([direction, foot], axis=1) / _SHORT + 0.37), zone])
     line = np.unique(rounded, axis=0, return_inverse=True)[1].reshape(-1)
-    open_ = np.zeros(len(edges), bool)
+    found = np.zeros(len(edges), bool)
     order = np.argsort(line, kind="stable")
     for members in np.split(order, np.cumsum(np.bincount(line))[:-1]):
         first, last = np.minimum(low, high)[members], np.maximum(low, high)[members]
         ends = np.unique(np.concatenate([first, last]))
         middle = (ends[1:] + ends[:-1])[np.diff(ends) > _SHORT] / 2
         runs = (first[:, None] < middle) & (middle < last[:, None])
-        balance = (sign[members, None] * runs).sum(axis=0)
-        open_[members] = (runs & (balance != 0)).any(axis=1)
-    return edges[open_]
+        found[members] = (runs & is_meant(sign[members, None], runs)).any(axis=1)
+    return found

@@ -26,7 +26,8 @@ _NAMED = 20
 def flat_faces(
     vertices: Array, faces: ArrayLike | Sequence[Sequence[int]], numbers: Index | None = None
 ) -> tuple[Index, Index]:
-    """Flat and convex faces (f, 4), and for each the row of ``faces`` that contains it.
+    """Flat and convex faces (f, 4), and for each the row of ``faces`` that contains it. Of a quadrilateral that becomes
+    two triangles, one without area is left out.
 
     numbers: of the faces, for messages.
 
@@ -53,9 +54,11 @@ def flat_faces(
     if crossed.any():
         bad = bent[crossed][0]
         raise PatchError(f"face {bad if numbers is None else numbers[bad]} crosses itself: cut it into triangles")
-    rows = np.concatenate([np.delete(np.arange(len(quads)), bent), np.repeat(bent, 2)])
+    has_area = ~face_vectors(vertices, halves)[1]
+    has_area |= np.repeat(~has_area.reshape(-1, 2).any(axis=1), 2)
+    rows = np.concatenate([np.delete(np.arange(len(quads)), bent), np.repeat(bent, 2)[has_area]])
     order = np.argsort(rows, kind="stable")
-    return np.concatenate([np.delete(quads, bent, axis=0), halves])[order], rows[order]
+    return np.concatenate([np.delete(quads, bent, axis=0), halves[has_area]])[order], rows[order]
 
 
 def face_vectors(vertices: Array, faces: Index) -> tuple[Array, NDArray[np.bool_]]:

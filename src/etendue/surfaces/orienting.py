@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device, short_repr
 
+from .diagnosis import free_edges
 from .patches import Patches
 from .rays.raycasting import STEP, RayScene
+from .zones import zone_names, zone_parts
 
 Index = NDArray[np.int64]
 
@@ -47,23 +49,34 @@ def orientation(patches: Patches, inward: bool = False, up: str = "z", seed: int
     A side of a face is outside if a ray from it crosses an even number of faces. Faces that share edges which no other
     face has are a set: they are turned alike, however the file has turned them, and all their rays decide together.
     The fronts of open sheets, such as ground with houses on it, are ``up`` (an axis) as a whole, and rays that meet
-    them decide nothing, unless the sheets stand upright. Faces whose backs are patches have no wrong side.
+    them decide nothing, unless the sheets stand upright, or other faces run along all of their border, as around the
+    roof of a room. Faces whose backs are patches have no wrong side. Zones are
+    looked at each by itself.
     """
+    if len(zone_names(patches)) > 1:
+        of_zones = [orientation(part.only(~part.empty)[0], inward, up, seed) for _, part, _ in zone_parts(patches)]
+        return Orientation(*(np.unique(np.concatenate(found)) for found in zip(*map(_both, of_zones), strict=True)))
     sided = np.flatnonzero((patches.back < 0) & (patches.front >= 0))
     if len(sided) == 0:
         return Orientation(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    sets, turn = _sets(patches, sided)
+    sets, turn, free = _sets(patches, sided)
     rng = np.random.default_rng([seed, 0x0E1])
     areas, rise = patches.face_areas[sided], patches.face_normals[sided, "xyz".index(up)]
     risen = np.bincount(sets, turn * areas * rise) / np.bincount(sets, areas)
-    ground = _sheets(patches, sided, sets, turn, rng) & (np.abs(risen) >= _UPRIGHT)
+    sheets = _sheets(patches, sided, sets, turn, rng) & (np.abs(risen) >= _UPRIGHT)
+    ground = sheets & free
     rays = np.maximum(_RAYS, -(-_LEAST // np.bincount(sets)))[sets]
     votes, cast = (np.bincount(sets, v) for v in _votes(patches, sided, rays, ground[sets], turn, rng))
     votes = np.divide(votes, cast, out=np.zeros(len(votes)), where=cast > 0) * (-1 if inward else 1)
+    ground |= sheets & (np.abs(votes) < _DECIDED)
     decided = ground | (np.abs(votes) >= _DECIDED)
     wanted = np.where(np.where(ground, risen, votes) > 0, 1, -1)
     wrong = decided[sets] & (turn != wanted[sets])
     return Orientation(*(np.unique(patches.numbers[sided[faces]]) for faces in (wrong, ~decided[sets])))
+
+
+def _both(found: Orientation) -> tuple[Index, Index]:
+    return found.wrong, found.undecided
 
 
 def turned(faces: Index) -> Index:
@@ -72,8 +85,9 @@ def turned(faces: Index) -> Index:
     return np.where(is_triangle, faces[:, [2, 1, 0, 0]], faces[:, ::-1])
 
 
-def _sets(patches: Patches, sided: Index) -> tuple[Index, Index]:
-    """For each face its set, and 1 or -1: whether it is turned as the first of the set."""
+def _sets(patches: Patches, sided: Index) -> tuple[Index, Index, NDArray[np.bool_]]:
+    """For each face its set, and 1 or -1: whether it is turned as the first of the set; and for each set whether a part
+    of its border is alone."""
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[patches.faces[sided]]
     start, end = faces, np.roll(faces, -1, axis=1)
@@ -85,7 +99,11 @@ def _sets(patches: Patches, sided: Index) -> tuple[Index, Index]:
     _, first, count = np.unique(key[order], return_index=True, return_counts=True)
     one, two = order[first[count == 2]], order[first[count == 2] + 1]
     agree = np.where((start[one] < end[one]) != (start[two] < end[two]), 1, -1)
-    return _joined(len(sided), face[one], face[two], agree)
+    sets, turn = _joined(len(sided), face[one], face[two], agree)
+    border = order[first[count == 1]]
+    _, vertex = np.unique(place.reshape(-1), return_index=True)
+    alone = border[free_edges(patches, vertex[np.stack([start[border], end[border]], axis=1)])]
+    return sets, turn, np.bincount(sets[face[alone]], minlength=sets.max() + 1) > 0
 
 
 def _joined(count: int, one: Index, two: Index, sign: Index) -> tuple[Index, Index]:

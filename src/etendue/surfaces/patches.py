@@ -73,12 +73,14 @@ class Patches(InNotebooks):
     labels: (n,) the number in ``ids``, or the index of the face; a back has the label of its front.
     shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, to which each patch belongs, -1 for
         none; and the names of the shapes. ``shapes`` is ``None`` if they are not known.
+    zones: (n,) the zone of a building that each patch faces, of files of zones; ``None`` if there are none.
     period: the lengths of ``periodic``, ``None`` if there is no repetition.
     files: names of the mesh files of the patches, and the number of the first face of each.
     """
 
     shapes: Index | None = None
     shape_names: tuple[str, ...] = ()
+    zones: NDArray[np.str_] | None = None
     period: tuple[float, float] | None = None
     files: tuple[tuple[str, int], ...] = ()
 
@@ -184,6 +186,8 @@ class Patches(InNotebooks):
         if self.shapes is not None:
             known["shapes"] = self.shapes
             known["shape_names"] = np.array(self.shape_names, dtype=str)
+        if self.zones is not None:
+            known["zones"] = self.zones
         if self.period is not None:
             known["period"] = np.array(self.period)
         return known
@@ -197,6 +201,7 @@ class Patches(InNotebooks):
         patches._fronts = int(arrays["_fronts"])
         if "shapes" in arrays:
             patches.shapes, patches.shape_names = arrays["shapes"], tuple(map(str, arrays["shape_names"]))
+        patches.zones = arrays.get("zones")
         if "period" in arrays:
             patches.period = float(arrays["period"][0]), float(arrays["period"][1])
         return patches
@@ -350,21 +355,23 @@ class Patches(InNotebooks):
         return np.isin(number, [known.index(name) for name in names])
 
     def _name_as(self, other: Patches, patches: Index) -> None:
-        """Take labels and shapes from ``patches`` (n,) of another mesh, its files and its period."""
+        """Take labels, shapes and zones from ``patches`` (n,) of another mesh, its files and its period."""
         self.period, self.files = other.period, other.files
         self.labels = other.labels[patches]
         self.shapes, self.shape_names = None if other.shapes is None else other.shapes[patches], other.shape_names
+        self.zones = None if other.zones is None else other.zones[patches]
 
-    def only(self, chosen: ArrayLike) -> tuple[Patches, Index]:
+    def only(self, chosen: ArrayLike, *, obstacles: bool = False) -> tuple[Patches, Index]:
         """The ``chosen`` (n,) patches with their labels, and the index that each of them has here.
 
-        Empty patches are left out. Both sides of a sheet stay together: only the choice of fronts counts. Raises
-        :class:`PatchError` for none.
+        Empty patches are left out, and obstacles unless they are asked for. Both sides of a sheet stay together: only
+        the choice of fronts counts. Raises :class:`PatchError` for none.
         """
         kept = np.flatnonzero((np.asarray(chosen, dtype=bool) & ~self.empty)[: self._fronts])
-        faces = np.isin(self.front, kept)  # without obstacles
+        faces = np.isin(self.front, kept)
         if not faces.any():
             raise PatchError("no patch is chosen")
+        faces |= obstacles & (self.front < 0)
         used, corners = np.unique(self.faces[faces], return_inverse=True)
         backs = self.other_side[kept]
         numbers = np.concatenate([kept, backs[backs >= 0]])
@@ -377,8 +384,13 @@ class Patches(InNotebooks):
             two_sided=backs >= 0,
             sky=self.sky,
             numbers=self.numbers[faces],
+            obstacles=np.flatnonzero(self.front[faces] < 0),
         )
         result._name_as(self, numbers)
+        if result.shapes is not None:  # without those of which no patch is chosen
+            used = np.unique(result.shapes[result.shapes >= 0])
+            result.shapes = np.where(result.shapes < 0, -1, np.searchsorted(used, result.shapes))
+            result.shape_names = tuple(result.shape_names[k] for k in used)
         return result, numbers
 
     def with_properties(

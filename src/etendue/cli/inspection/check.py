@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
@@ -22,10 +21,9 @@ _VARIANTS = ("scalar_rgb",)
 _COLOUR = {"pass": "green", "warn": "yellow", "fail": "red"}
 
 
-def show_check(scene: Any, *, quick: bool, sensor: int, seed: int, parameters: Mapping[str, str], as_json: bool) -> int:
-    """Check and print. Exit status 1 if something fails."""
-    variants = () if quick else _VARIANTS
-    report = check(scene, quick=quick, sensor=sensor, parameters=parameters, variants=variants, seed=seed)
+def show_check(scene: Any, *, quick: bool, as_json: bool, **options: Any) -> int:
+    """Check with the ``options`` of :func:`etendue.conformance.check`, and print. Exit status 1 if something fails."""
+    report = check(scene, quick=quick, variants=() if quick else _VARIANTS, **options)
     if as_json:
         say(json.dumps(report.to_dict(), indent=2, ensure_ascii=False))
     else:

@@ -17,6 +17,8 @@ from etendue.core import CheckpointError, OptionError, format_count, format_seco
 from etendue.engine import Budget, Checkpoint
 from etendue.particles import ParticleFile, is_particle_file
 from etendue.products import current, find, limits_of
+from etendue.scene import is_model
+from etendue.surfaces import diagnose, is_mesh_file, read_patches, zone_names
 
 from ..console import say
 
@@ -27,13 +29,17 @@ _PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".hdr")
 
 
 def show_info(file: Path, as_json: bool) -> int:
-    """Show what a file has: a picture, a checkpoint, particles, a solution or form factors."""
+    """Show what a file has: a picture, a checkpoint, particles, a solution, form factors or a mesh."""
     if not file.is_file():
         raise OptionError(f"there is no file '{file}'")
     if is_particle_file(file):
         return _show_particles(ParticleFile(file), as_json)
-    is_picture = file.suffix.lower() in _PICTURES
-    found = _of_picture(file) if is_picture else _of_checkpoint(file) or _of_arrays(file)
+    if file.suffix.lower() in _PICTURES:
+        found = _of_picture(file)
+    elif is_mesh_file(file) or is_model(file):
+        found = _of_mesh(file)
+    else:
+        found = _of_checkpoint(file) or _of_arrays(file)
     if as_json:
         say(json.dumps(found, indent=1, default=str))
     else:
@@ -93,12 +99,30 @@ def _of_checkpoint(file: Path) -> dict[str, Any] | None:
     }
 
 
+def _of_mesh(file: Path) -> dict[str, Any]:
+    """The faces of a mesh and where they are, which shows in what unit, and what is up."""
+    patches = read_patches(file)
+    low, high = patches.bounds
+    names = [name for name in dict.fromkeys(patches.names.tolist()) if name]
+    return {
+        "mesh": f"{format_count(len(patches.faces), 'face')}, {diagnose(patches)}",
+        "extent": " x ".join(f"{x:.6g}" for x in high - low),
+        "from": ", ".join(f"{x:.9g}" for x in low),
+        "to": ", ".join(f"{x:.9g}" for x in high),
+        "area": f"{patches.areas.sum():.6g}",
+        "zones": ", ".join(zone_names(patches)),
+        "names": ", ".join(names[:_LISTED]) + (f", ... ({len(names)})" if len(names) > _LISTED else ""),
+    }
+
+
 def _of_arrays(file: Path) -> dict[str, Any]:
     try:
         with np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError) as error:
-        raise OptionError(f"'{file}' is no picture, checkpoint, file of particles, solution or form factors") from error
+        raise OptionError(
+            f"'{file}' is no picture, checkpoint, file of particles, solution, form factors or mesh"
+        ) from error
     metadata = json.loads(str(arrays.pop("metadata"))) if "metadata" in arrays else {}
     shapes = {name: " x ".join(map(str, x.shape)) or str(x) for name, x in arrays.items()}
     return {**metadata, "arrays": shapes}

@@ -34,6 +34,7 @@ from etendue.radiosity import (
     form_factors,
     group_index,
     joined_rows,
+    joined_zones,
     local_form_factors,
     no_factors,
     partial_form_factors,
@@ -42,7 +43,7 @@ from etendue.radiosity import (
     save_form_factors,
     sky_parts,
 )
-from etendue.surfaces import Patches, RayScene
+from etendue.surfaces import Patches, RayScene, zone_names, zone_parts
 
 from ..files import Writing, about
 from ..results import FormFactorResult
@@ -80,6 +81,8 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     rays: int | None = None  #: of each patch, for form factors by rays
     rows: tuple[str, ...] = ()  #: files whose patches alone send rays
     seed: int = 0  #: of rays
+    #: Computes those of a zone, if there are several; surfaces of different zones see nothing of each other.
+    of_zone: Callable[[Patches], FormFactorResult] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -183,10 +186,12 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     def at_once(
         self, source: PatchSource, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent
     ) -> FormFactorResult:
-        """Form factors by integrals, or by rays from patches, instead of lines."""
+        """Form factors by integrals, or by rays from patches, instead of lines; or of several zones."""
         problem = source.open(tell)
         self.check(problem)
         on_patches(problem.patches)
+        if self.of_zone is not None:
+            return self._zones(problem, self.of_zone, tell)
         begin, how = time.perf_counter(), "exact" if self.rays is None else "rays"
         factors, correction = self._corrected(self._computed(problem.patches, tell))
         elapsed, writing = time.perf_counter() - begin, Writing()
@@ -203,6 +208,30 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             groups=groups,
             stopped_by=how,
             elapsed=elapsed,
+        )
+
+    def _zones(
+        self, problem: PatchProblem, of_zone: Callable[[Patches], FormFactorResult], tell: Callable[[str], object]
+    ) -> FormFactorResult:
+        """Form factors of each zone in turn, as one matrix."""
+        begin, writing, patches = time.perf_counter(), Writing(), problem.patches
+        names, found, parts = zone_names(patches), {}, []
+        for name, part, ours in zone_parts(patches):
+            tell(f"zone {names.index(name) + 1} of {len(names)}, '{name}'")
+            found[name] = of_zone(part)
+            parts.append((found[name].factors, ours))
+        factors = joined_zones(patches, parts)
+        known = about(problem.source, estimator=self.estimator, zones=list(names), **self._asked, **self._outside)
+        groups = self._write(writing, 1 - patches.reflectance[:, 0], factors, known)
+        writing.finish()
+        return FormFactorResult(
+            patches=patches,
+            factors=factors,
+            groups=groups,
+            zones=found,
+            bundles=max(made.bundles for made in found.values()),
+            stopped_by=next((made.stopped_by for made in found.values() if made.stopped_by != "exact"), "exact"),
+            elapsed=time.perf_counter() - begin,
         )
 
     def _computed(self, patches: Patches, tell: Callable[[str], object]) -> FormFactors:

@@ -14,6 +14,7 @@ from etendue.radiosity import (
     PointFactors,
     check_point_file,
     point_factors,
+    point_factors_to_error,
     read_light,
     save_point_factors,
 )
@@ -32,9 +33,11 @@ def make_point_factors(
     *,
     groups: bool = False,
     solution: PathLike | None = None,
+    error: float | None = None,
     **options: Any,
 ) -> PointFactors:
     """See :func:`etendue.radiosity.point_factors`, whose ``options`` are. groups: of groups instead of patches.
+    error: the largest standard error of a factor, see :func:`etendue.radiosity.point_factors_to_error`.
     solution: a file with radiosities of the patches, see :func:`etendue.radiosity.read_light`, for the irradiance at
     the sensors. ``tell`` receives the current step, ``on_patches`` the patches beforehand. Raises the errors of files
     before anything is computed."""
@@ -51,12 +54,20 @@ def make_point_factors(
             graph.describe(lamps[0], "emitter"),
         )
     on_patches(patches)
-    found = point_factors(patches, meters, tell=tell, **options)
+    if error is None:
+        found = point_factors(patches, meters, tell=tell, **options)
+    else:
+        found = point_factors_to_error(patches, meters, error, groups=groups, tell=tell, **options)
     if light is not None:
         found = found.lit(*light)
     if groups:
         found = found.of_groups()
-    known = {"sensors": len(meters), "groups": groups, "solution": None if solution is None else str(solution)}
+    known = {
+        "sensors": len(meters),
+        "error": error,
+        "groups": groups,
+        "solution": None if solution is None else str(solution),
+    }
     writing = Writing()
     for path in files:
         with writing.attempt(f"write '{path}'"):

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from etendue.core import Method, OptionError, Settings, logger
-from etendue.engine import Task, silent
+from etendue.engine import Job, Task, silent
 from etendue.radiosity import SOLVERS, GroupSettings, LineCasting, PartSource, PatchSource
+from etendue.surfaces import Patches, may_have_zones, zone_names
 
 from ..registry import FACTORS, SOLUTIONS, budget_of, chosen, current, find
+from ..results import FormFactorResult
+from ..running import run_job
 from .base import PatchProduct
 from .choosing import choose
 from .factors import FormFactorProduct
@@ -32,6 +35,8 @@ class AtOnce:
 
     source: PatchSource
     product: PatchProduct[Any]
+    #: Why workers are of no use.
+    why: str = ""
 
     def make(self, tell: Callable[[str], object] = silent, on_patches: Callable[[Any], object] = silent) -> Any:
         """Make it and write its files. ``tell`` receives the current step, ``on_patches`` the patches beforehand."""
@@ -120,9 +125,12 @@ class FactorRun(PatchRun):
         if self.objects is not None and not isinstance(self.objects, str):
             self.objects = np.asarray(self.objects).tolist()  # plain, for checkpoints
         source = PatchSource(**self._given(), walls=self.walls)
+        zones = self._zones(source)
         estimator = self.estimator or ("F4" if around else "F1")
         names = ("row_sums", "reciprocal", "threshold", "groups", "up", "north", "sky_patches", "outputs")
         asked = {name: getattr(self, name) for name in names}
+        if len(zones) > 1:
+            return self._of_zones(source, zones, FormFactorProduct(estimator=estimator, **asked))
         if method == AUTO:
             method = self._chosen(source)
         product = FormFactorProduct(**self._common(method), estimator=estimator, **asked, rows=self.rows)
@@ -142,6 +150,33 @@ class FactorRun(PatchRun):
             return AtOnce(source, product)
         return self._task(source, chosen(method, (*FACTORS, EXACT, RAYS, AUTO), "form factors"), product)
 
+    def _zones(self, source: PatchSource) -> tuple[str, ...]:
+        """The zones of patches, or of a file that may have some."""
+        if isinstance(source.source, Patches):
+            return zone_names(source.source)
+        return zone_names(source.problem.patches) if source.is_mesh and may_have_zones(Path(source.source)) else ()
+
+    def _of_zones(self, source: PatchSource, zones: tuple[str, ...], product: FormFactorProduct) -> AtOnce:
+        """A run for each zone, whose surfaces see nothing of the others."""
+        if self.checkpoint is not None:
+            raise OptionError(f"a checkpoint is of one zone: give zone, one of {', '.join(zones)}")
+        if self.rows:
+            raise OptionError("rows are those of files, and zones are apart anyway: leave out rows, or give zone")
+        limits = dict(self.limits)
+        if limits.get("seconds") is not None:
+            limits["seconds"] /= len(zones)
+        own: dict[str, Any] = {"limits": limits, "max_area": None, "mesh": {}, "outputs": (), "tell": silent}
+        own["checkpoint_beside"] = None
+
+        def of_zone(patches: Patches) -> FormFactorResult:
+            task = replace(self, source=patches, **own).task()
+            made = task.make() if isinstance(task, AtOnce) else run_job(lambda: Job.open(task, silent))
+            return cast("FormFactorResult", made)
+
+        product.check_files(False)
+        product.of_zone = of_zone
+        return AtOnce(source, product, f"zones are computed one after the other (zone is one of {', '.join(zones)})")
+
     def _chosen(self, source: PatchSource) -> str:
         """Integrals or lines, by what is asked for and by their time; ``tell`` gets the reason."""
         others = [name for name, value in self.limits.items() if value is not None and name != "error"]
@@ -150,7 +185,7 @@ class FactorRun(PatchRun):
         if others:
             is_exact, why = False, f"{others[0]} is asked for"
         else:
-            is_exact, why = choose(source.open(silent).patches, self.limits.get("error"))
+            is_exact, why = choose(source.problem.patches, self.limits.get("error"))
         method = EXACT if is_exact else LineCasting.name
         self.tell(f"method {method}: {why}")
         return method

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: Estimators of form factors from counts, see :func:`estimate`.
 Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal", "pooled"]
 #: Arrays of form factors, and of files, that say what their rows are.
-NUMBERS = ("face", "label", "name")
+NUMBERS = ("face", "label", "name", "zone")
 ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal", "pooled")
 
 #: Largest deviation of a repaired row sum from 1.
@@ -43,8 +43,8 @@ class FormFactors(InNotebooks):
     are not apart, and ``sky`` is both.
     ``sky_patches``: (n, p) the shares of the sky's patches 1 to p of :class:`etendue.lighting.SkyPatches`, which sum to
     ``sky``; ``None`` if they are not known. See :func:`sky_parts`.
-    ``face``, ``label``, ``name``: (n,) the first face of each patch, its label and the name of its shape, see
-    :class:`Patches`; ``None`` if they are not known.
+    ``face``, ``label``, ``name``, ``zone``: (n,) the first face of each patch, its label, the name of its shape and its
+    zone, see :class:`Patches`; ``None`` if they are not known.
     """
 
     matrix: scipy.sparse.csr_array
@@ -61,6 +61,7 @@ class FormFactors(InNotebooks):
     face: NDArray[np.int64] | None = None
     label: NDArray[np.int64] | None = None
     name: NDArray[np.str_] | None = None
+    zone: NDArray[np.str_] | None = None
     ground: Array | None = None
     sky_patches: Array | None = None
 
@@ -69,7 +70,7 @@ class FormFactors(InNotebooks):
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """``face``, ``label`` and ``name``."""
+        """``face``, ``label``, ``name`` and ``zone``."""
         return {name: getattr(self, name) for name in NUMBERS}
 
     @property
@@ -270,8 +271,9 @@ def shares(to_sky: NDArray[Any], to_dark: NDArray[Any], lines: Array) -> tuple[A
 
 
 def numbers_of(patches: Patches) -> dict[str, Any]:
-    """``face``, ``label`` and ``name`` of form factors."""
-    return dict(zip(NUMBERS, (patches.face, patches.labels, patches.names), strict=True))
+    """``face``, ``label`` and ``name`` of form factors, and ``zone`` if there are zones."""
+    known = {"face": patches.face, "label": patches.labels, "name": patches.names}
+    return known if patches.zones is None else known | {"zone": patches.zones}
 
 
 def estimate(

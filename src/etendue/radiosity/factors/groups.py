@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import sparse
+from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from .formfactors import FormFactors, entries_of, inverse
@@ -50,6 +51,12 @@ def group_index(factors: FormFactors, groups: ArrayLike | None = None) -> tuple[
     return names, rank[place.reshape(-1)]
 
 
+def named_patch(patches: Patches, number: int) -> str:
+    """A patch in words, with the group that it is in, as :func:`group_index` names it: ``patch 7 of group 'floor'``."""
+    name = str(patches.names[number]) or (str(patches.labels[number]) if patches.labels[number] != number else "")
+    return f"patch {number} of group '{name}'" if name else f"patch {number}"
+
+
 def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> FormFactors:
     """Form factors between groups of patches: F_IJ = sum_i A_i sum_j F_ij / A_I over the patches i of group I and j of
     group J. Row sums, the sky and reciprocity are those of the patches.
@@ -75,6 +82,11 @@ def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> For
     errors.data = np.sqrt(squares) * inverse(areas)[errors.row]
     mean = per_area @ gather @ weigh
     shares: dict[str, Any] = {name: mean @ share for name, share in factors.ends.items()}
+    zone = None
+    if factors.zone is not None:
+        first = np.unique(group, return_index=True)[1]
+        zone = factors.zone[first]
+        zone[group[zone[group] != factors.zone]] = ""  # groups with patches of several zones
     face = None
     if factors.face is not None:
         face = np.full(count, factors.face.max())
@@ -88,5 +100,6 @@ def between_groups(factors: FormFactors, groups: ArrayLike | None = None) -> For
         face=face,
         label=np.arange(count),
         name=names,
+        zone=zone,
         **shares,
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,9 +16,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, logger, sparse
+from etendue.core import Array, format_count, logger, sparse
 from etendue.film import replacing
 from etendue.formats import (
+    Zone,
     check_idf_names,
     check_moose_names,
     elmer_lines,
@@ -45,6 +46,8 @@ from ..factors.formfactors import NUMBERS, FormFactors, numbers_of
 from ..factors.groups import row_names
 from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors
 
+#: The program that has factors by zones.
+_ZONED = "EnergyPlus"
 #: Largest size of a file of text in bytes, and additional bytes of a non-zero number compared with a zero.
 _MOST_TEXT, _ENTRY = 4e9, 10.0
 #: A row sum that is less than this from 1 is accepted by programs that need closed rows.
@@ -91,6 +94,14 @@ def _names(factors: FormFactors) -> list[str]:
     return row_names(factors).tolist()
 
 
+def _zones(factors: FormFactors, path: Path) -> Iterator[Zone]:
+    """The zones of the rows, or if they have none, one with the name of the file."""
+    names, of = row_names(factors), factors.zone
+    for zone in [path.stem] if of is None else dict.fromkeys(of.tolist()):
+        ours = np.arange(len(names)) if of is None else np.flatnonzero(of == zone)
+        yield Zone(zone, names[ours].tolist(), factors.matrix[ours][:, ours])
+
+
 #: Formats of form factors. Names come before suffixes, since ``vf.nc.inp.201`` is a name.
 FACTOR_FORMATS = (
     FactorFormat("vfsparse.inp.*", "uDALES", lines=lambda f, e, path: udales_lines(f.matrix)),
@@ -104,12 +115,12 @@ FACTOR_FORMATS = (
     FactorFormat(".nc", "netCDF"),
     FactorFormat(".csv", "a table by names", zero=2.0, lines=_csv),
     FactorFormat(
-        *(".idf", "EnergyPlus", 32.0, lambda f, e, path: energyplus_lines(f.matrix, _names(f), path.stem)),
+        *(".idf", "EnergyPlus", 32.0, lambda f, e, path: energyplus_lines(_zones(f, path))),
         names=check_idf_names,
         is_closed=True,
     ),
     FactorFormat(
-        *(".epjson", "EnergyPlus", 120.0, lambda f, e, path: energyplus_json(f.matrix, _names(f), path.stem)),
+        *(".epjson", "EnergyPlus", 120.0, lambda f, e, path: energyplus_json(_zones(f, path))),
         names=lambda names: None,
         is_closed=True,
     ),
@@ -154,6 +165,12 @@ def check_factors(path: str | os.PathLike[str], factors: FormFactors) -> None:
             "factors between groups (--groups, groups=True) if a surface has several faces"
         )
     known.names(names)
+    if known.about == _ZONED and factors.zone is not None and "" in factors.zone:
+        torn = names[factors.zone.tolist().index("")]
+        raise RadiosityError(
+            f"'{path}' is for {known.about}, which has the surfaces of each zone apart, and '{torn}' is of several "
+            "zones: take other groups (--ids), or one zone (--zone)"
+        )
 
 
 def no_factors(patches: Patches) -> FormFactors:
@@ -186,7 +203,7 @@ def save_form_factors(
 
     ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
         error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity``, if known ``ground``,
-        ``sky_patches``, and ``face``, ``label`` and ``name`` of each row, and ``metadata`` (JSON).
+        ``sky_patches``, and ``face``, ``label``, ``name`` and ``zone`` of each row, and ``metadata`` (JSON).
     ``.nc``: netCDF with the content of ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
         ``area``, ``sky_share``, ``ground_share``, ``sky_patch_share``, ``lines``, ``emissivity``, ``face``, ``label``,
         ``name``.
@@ -196,8 +213,8 @@ def save_form_factors(
         contain the sky; rows of an open scene sum to less than 1. There is no place for numbers and names, but rows of
         empty patches are written, so that the rows are those of the faces.
     ``vfsparse.inp.NNN``, ``svf.inp.NNN``, ``vf.nc.inp.NNN``: uDALES; rows are all facets in the order of the mesh.
-    ``.idf``, ``.epjson``: ``ZoneProperty:UserViewFactors:BySurfaceName`` of EnergyPlus; the zone, or enclosure, has the
-        name of the file without suffix.
+    ``.idf``, ``.epjson``: ``ZoneProperty:UserViewFactors:BySurfaceName`` of EnergyPlus, an object for each ``zone``; if
+        the rows have none, one with the name of the file without suffix.
     ``.i``: a block of MOOSE. ``ViewFactors.dat``: Elmer. ``F``, ``globalFaceFaces``: OpenFOAM.
 
     emissivity: a number or (n,), written unchanged. metadata: values for JSON. A warning is given if a program needs
@@ -210,14 +227,9 @@ def save_form_factors(
     except ValueError:
         raise RadiosityError(f"emissivity is a number or has one for each of {len(factors)} patches") from None
     check_factors(path, factors)
-    off = float(np.abs(factors.row_sums() - factors.outside - 1)[factors.areas > 0].max(initial=0.0))
-    if known.is_closed and off > _CLOSED:
-        is_open = max(factors.outside.max(), factors.dark.max()) > _CLOSED
-        logger.warning(
-            "%s takes rows that sum to 1 without the sky, and those of '%s' are off by %.2g: %s",
-            *(known.about, path, off),
-            "close the mesh, which shows the sky or backs of faces" if is_open else "repair them (--repair)",
-        )
+    missing = np.where(factors.areas > 0, np.abs(factors.row_sums() - factors.outside - 1), 0.0)
+    if known.is_closed and missing.max(initial=0.0) > _CLOSED:
+        _warn_of_open_rows(known, path, factors, missing)
     if known.lines is not None:
         matrix = factors.matrix.tocsr(copy=True)
         matrix.sort_indices()
@@ -229,6 +241,22 @@ def save_form_factors(
         _write_arrays(path, factors, emitted, metadata)
     else:
         write_udales_netcdf(path, factors.matrix)
+
+
+def _warn_of_open_rows(known: FactorFormat, path: str | os.PathLike[str], factors: FormFactors, missing: Array) -> None:
+    """Say which rows do not sum to 1, in which zones, and why."""
+    is_open = np.maximum(factors.outside, factors.dark) > _CLOSED
+    where = ""
+    if factors.zone is not None:
+        zones = dict.fromkeys(factors.zone[missing > _CLOSED].tolist())
+        where = f" in {format_count(len(zones), 'zone')} ({', '.join(zones)})"
+    logger.warning(
+        "%s takes rows that sum to 1 without the sky, and those of '%s' are off by at most %.2g%s, as of '%s': %s",
+        *(known.about, path, missing.max(), where, row_names(factors)[np.argmax(missing)]),
+        "close the mesh, which shows the sky or backs of faces (etendue check names turned ones, --orient turns them)"
+        if is_open.any()
+        else "repair them (--repair)",
+    )
 
 
 def _write_arrays(

@@ -52,6 +52,8 @@ def write_form_factors(
     _add_numbers(file, factors.numbers)
     if factors.name is not None and factors.name.any():
         file.add_texts("name", "patch name_letter", factors.name, "name of the shape that the patch is of")
+    if factors.zone is not None:
+        file.add_texts("zone", "patch zone_letter", factors.zone, "zone that the patch faces")
     file.write(path)
 
 
@@ -66,6 +68,8 @@ def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     numbers = {name: saved[name] for name in NUMBERS if name in saved}
     if numbers:
         numbers["name"] = _texts(saved["name"]) if "name" in saved else np.full(n, "")
+    if "zone" in saved:
+        numbers["zone"] = _texts(saved["zone"])
     dark, lines = saved.get("dark_share", np.zeros(n)), saved["lines"].astype(np.int64)
     parts = {name: saved.get(known) for name, known in (("ground", "ground_share"), ("sky_patches", "sky_patch_share"))}
     return FormFactors(matrix, errors, saved["sky_share"], saved["area"], lines, dark, **numbers, **parts)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, free_memory, sparse
 
 from ..errors import RadiosityError
-from ..factors.formfactors import Estimator, FormFactors, check_estimator, estimate, numbers_of, shares
+from ..factors.formfactors import Estimator, FormFactors, check_estimator, entries_of, estimate, numbers_of, shares
 from ..lines.segments import Pairs
 from .tree import SphereTree
 
@@ -174,7 +174,7 @@ def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, esti
     """Standard errors with the structure of ``matrix``. Some lines are counted in both directions."""
     entries = matrix.tocoo()
     i, j = entries.coords
-    there, back, shared = (_entries(x, i, j) for x in (found, found.T.tocsr(), both))
+    there, back, shared = (entries_of(x, i, j) for x in (found, found.T.tocsr(), both))
     m_i, m_j, ratio = lines[i], np.maximum(lines[j], 1), areas[j] / areas[i]
     own, other = there / np.maximum(m_i, 1), back / m_j
     # Variances of the two directions, from their Poisson counts, and their covariance from common lines.
@@ -189,16 +189,11 @@ def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, esti
 def _spread_of_lines(i: Index, j: Index, found: Any, both: Any, lines: Array, areas: Array, different: Array) -> Array:
     """Contribution of the variance of ``r_i / A_i + r_j / A_j`` to the relative variance of entries with that divisor.
     The contribution is negative, since the divisor also counts the ``different`` lines of the entry."""
-    there, back, shared = (_entries(x, i, j) for x in (found, found.T.tocsr(), both))
+    there, back, shared = (entries_of(x, i, j) for x in (found, found.T.tocsr(), both))
     a, b = areas[i], areas[j]
     divisor = lines[i] / a + lines[j] / b
     own = (lines[i] / a**2 + lines[j] / b**2 + 2 * shared / (a * b)) / divisor**2
     return np.asarray(own - 2 * (there / a + back / b) / (different * divisor))
-
-
-def _entries(matrix: Any, row: Index, column: Index) -> Array:
-    """Entries of a sparse matrix, zero where it has none."""
-    return np.asarray(matrix.tocsr()[row, column]).ravel().astype(np.float64)
 
 
 def _counted(row: Any, column: Any, n: int) -> Any:

@@ -11,6 +11,7 @@ from etendue.core import Array
 from etendue.surfaces import Patches, diagnose, is_interior, surfaces_of
 
 from ..errors import RadiosityError
+from ..factors.groups import named_patch
 
 #: Largest share of light that leaves a closed part of a scene because of rounding.
 _LEAK = 1e-5
@@ -49,7 +50,7 @@ def check_absorption(patches: Patches) -> None:
         ours = corners[part == k].reshape(-1, 3)
         if np.array_equal([ours.min(axis=0), ours.max(axis=0)], patches.bounds):  # around all others
             first = np.flatnonzero((patches.emission > 0)[:, endless].any(axis=1))[0]
-            raise RadiosityError(_NO_END.format(f"patch {first} sends"))
+            raise RadiosityError(_NO_END.format(f"{named_patch(patches, first)} sends"))
 
 
 def absorbed(patches: Patches, transport: Ends) -> Patches:
@@ -67,7 +68,7 @@ def absorbed(patches: Patches, transport: Ends) -> Patches:
     kept = ~ends & sees[:, None]
     lit = np.flatnonzero((kept & (patches.emission > 0)).any(axis=1))
     if len(lit):
-        which = f"patch {lit[0]} sends" if len(lit) == 1 else f"patch {lit[0]} and {len(lit) - 1} more send"
+        which = named_patch(patches, lit[0]) + (" sends" if len(lit) == 1 else f" and {len(lit) - 1} more send")
         raise RadiosityError(_NO_END.format(which))
     return patches.with_properties(reflectance=np.where(kept, 0.0, patches.reflectance)) if kept.any() else patches
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -20,10 +21,11 @@ from . import gltf, materials
 SUFFIXES = (".obj", ".gltf", ".glb", ".ply", ".stl", ".off")
 
 _GLTF = (".gltf", ".glb")
-#: Where a model without a camera is seen from, as a multiple of its radius, and the angle of the picture.
-_VIEW, _FOV = np.array([0.9, 0.7, 2.2]), 40.0
-#: The direction towards the sun of a model without light.
-_SUN = np.array([-0.8, 1.0, 0.5])
+#: The direction from which a model without a camera is seen, and the angle of the shorter side of the picture.
+_VIEW, _FOV = np.array([0.9, 1.1, 2.0]), 40.0
+#: The direction towards the sun of a model without light, its irradiance, and the radiance of the sky: the sides that
+#: the camera sees differ, lit ones are brighter than the sky behind them, and those in shadow darker.
+_SUN, _SUNLIGHT, _SKYLIGHT = np.array([-0.8, 1.0, 0.5]), 3.0, 0.2
 
 
 def is_model(source: Any) -> TypeGuard[Path]:
@@ -93,16 +95,22 @@ def _described(path: Path) -> dict[str, Any]:
     for number, light in enumerate(gltf.lights(found)):
         scene[f"light-{number}"] = light
     if not any("light-" in name or getattr(item, "emitter", None) for name, item in scene.items()):
-        logger.warning(f"{path} has no light: a white sky and a sun above its left light it")
-        scene["sky"] = {"type": "constant", "radiance": 0.5}
-        scene["sun"] = {"type": "directional", "irradiance": 2.0, "direction": (-_turned(_SUN, path)).tolist()}
+        _warn_once(path.resolve(), f"{path} has no light: a white sky and a sun above its left light it")
+        scene["sky"] = {"type": "constant", "radiance": _SKYLIGHT}
+        scene["sun"] = {"type": "directional", "irradiance": _SUNLIGHT, "direction": (-_turned(_SUN, path)).tolist()}
     sensors = list(gltf.cameras(found))
     if not sensors:
-        logger.warning(f"{path} has no camera: it is seen from above its front")
+        _warn_once(path.resolve(), f"{path} has no camera: it is seen from above its front")
         sensors = [_seen_whole(low, high, path)]
     for number, sensor in enumerate(sensors):
         scene[f"sensor-{number}"] = sensor | {"film": {"type": "hdrfilm", "width": 768, "height": 576}}
     return scene
+
+
+@cache
+def _warn_once(file: Path, text: str) -> None:
+    """A warning on a file, which a command may read several times."""
+    logger.warning(text)
 
 
 def _check_files(path: Path, used: Collection[str]) -> None:
@@ -166,12 +174,16 @@ def _turned(direction: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
 
 
 def _seen_whole(low: NDArray[np.float64], high: NDArray[np.float64], path: Path) -> dict[str, Any]:
-    """A camera that sees a whole box."""
+    """A camera that sees a whole box, and not much around it, in a picture of any shape."""
     import mitsuba as mi
 
     centre, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-6)
     towards, up = _turned(_VIEW / np.linalg.norm(_VIEW), path), _turned(np.array([0.0, 1.0, 0.0]), path)
-    distance = 1.05 * radius / np.sin(np.deg2rad(0.5 * _FOV))
+    right = np.cross(up, towards) / np.linalg.norm(np.cross(up, towards))
+    corners = np.stack(np.meshgrid(*zip(low - centre, high - centre, strict=True)), axis=-1).reshape(-1, 3)
+    aside = np.abs(corners @ np.stack([right, np.cross(towards, right)], axis=1)).max(axis=1)
+    # A corner nearer to the camera by its depth is in the picture if it is within the angle from there.
+    distance = 1.08 * float((corners @ towards + aside / np.tan(np.deg2rad(0.5 * _FOV))).max(initial=radius))
     place = mi.ScalarTransform4d().look_at((centre + distance * towards).tolist(), centre.tolist(), up.tolist())
     clip = {"near_clip": 1e-3 * distance, "far_clip": 1e3 * distance}
     return {"type": "perspective", "fov": _FOV, "fov_axis": "smaller", "to_world": place} | clip

@@ -22,6 +22,7 @@ from ..faces import face_vectors, flat_faces, named_faces, repeated
 from ..heat import thermal
 from ..orienting import orientation, turned
 from ..patches import Patches, warn_of_rounded
+from ..zones import zone_names
 from .buildingfiles import read_building
 from .joining import joined_files
 from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
@@ -31,6 +32,8 @@ from .view3dfiles import read_vs3
 
 Index = NDArray[np.int64]
 
+#: Arrays whose groups are zones: surfaces of different ones exchange no light.
+_ZONES = ("zone", "room")
 #: Supported cell types.
 _FACES = ("triangle", "quad")
 #: Suffixes that trimesh reads and meshio does not.
@@ -42,9 +45,11 @@ _SURFACES = {
     ".vs3": read_vs3,
     ".rad": read_rad,
     ".epjson": read_building,
+    ".idf": read_building,
     ".hbjson": read_building,
     ".cityjson": read_building,
     ".json": read_building,
+    ".jsonl": read_building,
 }
 
 
@@ -61,6 +66,7 @@ def read_patches(
     more: Sequence[str | Path] = (),
     obstacles: Sequence[str | Path] = (),
     orient: str | None = None,
+    zone: str | None = None,
     periodic: Sequence[float] | None = None,
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
@@ -78,6 +84,8 @@ def read_patches(
         of patches have; ``"file"`` numbers these files, and names them.
     orient: ``"outward"`` turns the faces whose fronts are not outside of solids, ``"inward"`` those whose fronts are
         not inside of rooms (:func:`orientation`); a warning names them.
+    zone: of EnergyPlus, or a room of Honeybee: only its patches, without empty ones. Otherwise ``zones`` of the patches
+        are their names, if the file has some.
     periodic: see :class:`Patches`.
 
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
@@ -94,6 +102,12 @@ def read_patches(
     if more or obstacles:
         hidden = [_read(Path(name)) for name in obstacles]
         mesh = joined_files(files, hidden, is_reflectance_given=reflectance is not None)
+        if lost := [name for name in _ZONES if name in files[0][1].names and name not in mesh.names]:
+            logger.warning(
+                "%s: its %ss are not kept beside a further file that has none: give that as an obstacle (--obstacles), "
+                "or surfaces of all see each other through gaps",
+                *(path, lost[0]),
+            )
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
@@ -127,10 +141,13 @@ def read_patches(
         of_rows = np.asarray(of_rows)[seen]
         return of_rows if given is None else _means(of_rows, inverse.reshape(-1), areas, len(groups))
 
+    zones = None
+    if (array := next((name for name in _ZONES if name in mesh.names), None)) is not None:
+        zones = np.array([mesh.names[array].get(int(k), "") for k in cells[array]], dtype=str)
     kelvin = of_patches(temperature, "temperature")
     patches = Patches(
         vertices,
-        faces if orient is None else _oriented(path, vertices, faces, rows, left_out, orient),
+        faces if orient is None else _oriented(path, vertices, faces, rows, left_out, orient, zones),
         reflectance=of_patches(reflectance, "reflectance", 0.0),
         emission=0.0 if temperature is not None else of_patches(emission, "emission", 0.0),
         ids=labels[rows],
@@ -153,14 +170,41 @@ def read_patches(
         for array in [ids] if isinstance(ids, str) else mesh.names:
             if array in mesh.names and _set_shapes(patches, labels[seen], cells[array][seen], mesh.names[array]):
                 break
-    return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+    if zones is not None:
+        patches.zones = _zones(labels[seen], zones[seen], patches.labels)
+    if temperature is not None:
+        patches = _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+    if zone is None:
+        return patches
+    known = zone_names(patches)
+    matching = next((name for name in known if name.lower() == zone.lower()), None)
+    if matching is None:
+        raise PatchError(f"{path} has no zone '{zone}'; " + (suggest(zone, known) if known else "it has no zones"))
+    return patches.only(patches.zones == matching, obstacles=True)[0]
 
 
-def _oriented(path: Path, vertices: Array, faces: Index, rows: Index, left_out: Index, orient: str) -> Index:
-    """The faces with their fronts outward or inward."""
+def _zones(labels: Index, zones: NDArray[np.str_], patches: Index) -> NDArray[np.str_]:
+    """The zone of each patch from those of the faces; empty for one with faces of several zones."""
+    names, number = np.unique(zones, return_inverse=True)
+    known, low, high = _extremes(labels, number)
+    return np.where(low == high, names[low], "")[np.searchsorted(known, patches)]
+
+
+def _oriented(
+    path: Path,
+    vertices: Array,
+    faces: Index,
+    rows: Index,
+    left_out: Index,
+    orient: str,
+    zones: NDArray[np.str_] | None,
+) -> Index:
+    """The faces with their fronts outward or inward; zones: of rows."""
     if orient not in ("outward", "inward"):
         raise PatchError(f"faces are turned outward or inward, not '{orient}'")
-    found = orientation(Patches(vertices, faces, numbers=rows, left_out=left_out), inward=orient == "inward")
+    patches = Patches(vertices, faces, numbers=rows, left_out=left_out)
+    patches.zones = None if zones is None else zones[patches.face]
+    found = orientation(patches, inward=orient == "inward")
     for which, what in ((found.wrong, "turned"), (found.undecided, "left as they are, both sides being alike")):
         if len(which):
             logger.warning(
@@ -170,6 +214,11 @@ def _oriented(path: Path, vertices: Array, faces: Index, rows: Index, left_out: 
                 named_faces(which),
             )
     return np.where(np.isin(rows, found.wrong)[:, None], turned(faces), faces)
+
+
+def may_have_zones(path: Path) -> bool:
+    """Whether a mesh file is of a building that may have zones."""
+    return _SURFACES.get(path.suffix.lower()) is read_building
 
 
 def is_mesh_file(path: Path) -> bool:

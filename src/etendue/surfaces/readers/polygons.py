@@ -31,6 +31,9 @@ _ARRAY = re.compile(
 #: Depth of a crossing of a polygon with itself that counts as none, as an area in units of the squared size: cities are
 #: rounded to millimetres.
 _TOUCHING = 1e-4
+#: Area of a corner that counts as straight, in the same units, and of triangles of a rest that is dropped if no ear is
+#: left, in those of the rest: a spike that a rounded polygon runs to and fro.
+_STRAIGHT, _THIN = 1e-12, 1e-3
 #: Sections of VTK's PolyData that are no polygons.
 _NO_POLYGONS = {b"VERTICES": "vertices", b"LINES": "lines", b"TRIANGLE_STRIPS": "triangle strips"}
 
@@ -54,7 +57,8 @@ def cut_polygons(points: Array, polygons: list[list[int]]) -> tuple[Index, Index
             triangles = ears(points[corners])
             if triangles is None:
                 raise PatchError(f"face {row} of {len(corners)} corners crosses itself: cut it into triangles")
-            parts = [[corners[a], corners[b], corners[c], corners[c]] for a, b, c in triangles]
+            # A polygon without area keeps its row, as a face without area.
+            parts = [[corners[a], corners[b], corners[c], corners[c]] for a, b, c in triangles or [(0, 0, 0)]]
         faces += parts
         rows += [row] * len(parts)
     return np.array(faces, dtype=np.int64).reshape(-1, 4), np.array(rows, dtype=np.int64)
@@ -62,35 +66,49 @@ def cut_polygons(points: Array, polygons: list[list[int]]) -> tuple[Index, Index
 
 def ears(corners: Array) -> list[tuple[int, int, int]] | None:
     """Triangles of a polygon (k, 3), as numbers of corners, cut off one by one as ears: at convex corners whose
-    triangle contains no other corner, the best shaped first. ``None`` for a polygon that crosses itself."""
+    triangle contains no other corner, the best shaped first. Corners that repeat the one before count as one. ``None``
+    for a polygon that crosses itself."""
     turned = np.roll(corners, -1, axis=0)
     normal = np.cross(corners - corners[0], turned - corners[0]).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(corners, axis, axis=1) * [1.0, 1.0 if (normal[axis] > 0) == (axis != 1) else -1.0]
-    if _crosses_itself(flat):
+    left = np.flatnonzero((corners != np.roll(corners, 1, axis=0)).any(axis=1)).tolist()
+    if len(left) < 3:
+        return []
+    if _crosses_itself(flat[left]):
         return None
-    left, triangles = list(range(len(corners))), []
+    least, triangles = _STRAIGHT * np.ptp(flat, axis=0).max() ** 2, []
     while len(left) > 3:
         ring = np.array(left)
         a, b, c = flat[np.roll(ring, 1)], flat[ring], flat[np.roll(ring, -1)]
         area = _area(a, b, c)
         longest = np.maximum.reduce([((x - y) ** 2).sum(axis=1) for x, y in ((a, b), (b, c), (c, a))])
         quality = area / np.maximum(longest, np.finfo(float).tiny)  # corners may coincide
-        bent = ring[area < 0]
-        for k in np.argsort(-quality):
-            if area[k] <= 0:
-                return None
-            others = flat[np.setdiff1d(bent, ring[[k - 1, k, (k + 1) % len(ring)]])]
-            inside = np.ones(len(others), dtype=bool)
-            for start, end in ((a[k], b[k]), (b[k], c[k]), (c[k], a[k])):
-                inside &= _area(start, end, others) >= 0
-            if not inside.any():
-                triangles.append((int(ring[k - 1]), int(ring[k]), int(ring[(k + 1) % len(ring)])))
-                left.pop(int(k))
+        # An ear whose base runs through corners on a straight edge would leave them without area. Seams to holes have
+        # corners twice, and if there is no other ear, those at its corners do not count.
+        for bent, margin in ((ring[area <= least], -least), (ring[area < 0], 0.0), (ring[area < 0], least)):
+            ear = next(
+                (k for k in np.argsort(-quality) if area[k] > least and _is_ear(flat, ring, k, bent, margin)), None
+            )
+            if ear is not None:
+                triangles.append((int(ring[ear - 1]), int(ring[ear]), int(ring[(ear + 1) % len(ring)])))
+                left.pop(ear)
                 break
         else:
-            return None
+            rest = flat[left]
+            is_thin = np.abs(_area(rest[0], rest[1:-1], rest[2:])) <= _THIN * np.ptp(rest, axis=0).max() ** 2
+            return triangles if is_thin.all() else None
     return [*triangles, (left[0], left[1], left[2])]
+
+
+def _is_ear(flat: Array, ring: Index, k: int, bent: Index, margin: float) -> bool:
+    """Whether the triangle at corner ``k`` of a ring contains none of the corners ``bent``, by a ``margin``."""
+    ear = ring[[k - 1, k, (k + 1) % len(ring)]]
+    others = flat[np.setdiff1d(bent, ear)]
+    inside = np.ones(len(others), dtype=bool)
+    for start, end in zip(ear, np.roll(ear, -1), strict=True):
+        inside &= _area(flat[start], flat[end], others) >= margin
+    return not inside.any()
 
 
 def _crosses_itself(flat: Array) -> bool:

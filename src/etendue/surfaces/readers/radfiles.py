@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from etendue.core import Array, logger
+from etendue.core import Array, format_count, logger
 
 from ..errors import PatchError
 from .surfacefiles import MeshFile, Surface, mesh_of
@@ -24,11 +25,12 @@ def read_rad(path: Path) -> MeshFile:
     """The polygons, whose ``material`` is a group, with reflectances and emission (red, green, blue).
 
     ``plastic`` and ``metal`` reflect as diffuse surfaces of the same albedo, ``glow`` and ``light`` emit pi times their
-    radiance, without their patterns, which a warning names. Raises :class:`PatchError` for other surfaces, for polygons
-    of other materials, and for commands.
+    radiance, without their patterns, which a warning names. Polygons of other materials, and of those that are in
+    another file, are black, with a warning. Raises :class:`PatchError` for other surfaces, and for commands.
     """
     materials: dict[str, tuple[Array, Array] | str] = {"void": (np.zeros(3), np.zeros(3))}
     surfaces = []
+    black: Counter[str] = Counter()
     for line, modifier, kind, name, words in _primitives(path):
         where = f"line {line}"
         if kind == "polygon":
@@ -39,10 +41,8 @@ def read_rad(path: Path) -> MeshFile:
             outline = _numbers(path, where, name, words).reshape(-1, 3)
             material = materials.get(modifier)
             if material is None or isinstance(material, str):
-                why = (
-                    "is not known" if material is None else f"is '{material}': there are plastic, metal, glow and light"
-                )
-                raise PatchError(f"{path}, {where}: the material '{modifier}' of polygon '{name}' {why}")
+                black[f"'{modifier}' {'is not in the file' if material is None else f'is {material}'}"] += 1
+                material = materials["void"]
             surface = Surface(outline=outline, name=name, where=where, groups={"material": modifier})
             surface.values = dict(zip(("reflectance", "emission"), material, strict=True))
             surfaces.append(surface)
@@ -58,6 +58,12 @@ def read_rad(path: Path) -> MeshFile:
             raise PatchError(f"{path}, {where}: {kind} '{name}' is no polygon: approximate it by polygons")
     if not surfaces:
         raise PatchError(f"{path} has no polygons of Radiance")
+    for which, count in black.items():
+        logger.warning(
+            "%s: the material %s; its %s taken as black: put the materials into the file, before them (plastic, metal, "
+            "glow and light are known), or give a reflectance (--reflectance)",
+            *(path, which, f"{format_count(count, 'polygon')} {'is' if count == 1 else 'are'}"),
+        )
     own = {name: np.array([s.values[name] for s in surfaces]) for name in ("reflectance", "emission")}
     return mesh_of(path, surfaces, own)
 
@@ -89,7 +95,9 @@ def _primitives(path: Path) -> Iterator[tuple[int, str, str, str, list[str]]]:
     words: list[tuple[int, str]] = []
     for number, text in enumerate(path.read_text("utf-8-sig", errors="replace").splitlines(), 1):
         if text.lstrip().startswith("!"):
-            raise PatchError(f"{path}, line {number}: commands are not run; expand the file by Radiance's xform")
+            raise PatchError(
+                f"{path}, line {number}: commands are not run: write what they make to a file (xform -e of Radiance)"
+            )
         words += [(number, word) for word in text.split("#")[0].split()]
     place, line = 0, 1
     try:

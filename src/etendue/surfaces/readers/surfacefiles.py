@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from etendue.core import Array
 
 from ..errors import PatchError
+from ..faces import flat_faces
 from .cutting import cut_out
 from .polygons import cut_polygons
 
@@ -86,6 +87,8 @@ def mesh_of(path: Path, surfaces: list[Surface], own: Mapping[str, Array] | None
         bad = next(k for k, polygon in enumerate(polygons) if len(polygon) > 4 and not _is_simple(corners, polygon))
         surface = surfaces[rows[bad]]
         raise PatchError(f"{path}, {surface.where}: '{surface.name}' crosses itself") from None
+    for row in _crossing(corners, faces, np.array(rows, dtype=np.int64)[part]):
+        raise PatchError(f"{path}, {surfaces[row].where}: '{surfaces[row].name}' crosses itself")
     number = {id(surface): row for row, surface in enumerate(surfaces)}
     arrays = {name: np.array([s.values[name] for s in surfaces]) for name in (surfaces[0].values if surfaces else ())}
     names: dict[str, dict[int, str]] = {"surfaces": {row: surface.name for row, surface in enumerate(surfaces)}}
@@ -113,6 +116,19 @@ def _cut(path: Path, surface: Surface) -> list[Array]:
     holes = [(f"{path}, {surface.where}: a hole of {name}", hole) for hole in surface.holes]
     holes += [(f"{path}, {inner.where}: '{inner.name}' in {name}", inner.outline) for inner in surface.inside]
     return cut_out(f"{path}, {surface.where}: {name}", surface.outline, holes)
+
+
+def _crossing(points: Array, faces: Index, rows: Index) -> Iterator[int]:
+    """Rows of quadrilaterals that cross themselves."""
+    try:
+        if len(faces):
+            flat_faces(points, faces)
+    except PatchError:
+        for face, row in zip(faces, rows, strict=True):
+            try:
+                flat_faces(points, face[None])
+            except PatchError:
+                yield int(row)
 
 
 def _is_simple(points: Array, polygon: list[int]) -> bool:
