@@ -30,7 +30,8 @@ def openness(points: Array, normals: Array, corners: Array, planes: Array, is_si
     ``is_sided`` ones cancel; if nothing is left, the ray goes on.
     """
     found = np.zeros((len(points), 2), np.int64)
-    x, y, d, distances = np.empty(3), np.empty(3), np.empty(3), np.empty(len(corners))
+    x, y, d = np.empty(3), np.empty(3), np.empty(3)
+    met, distances = np.empty(len(corners), np.int64), np.empty(len(corners))
     for k in range(len(points)):
         n = normals[k]
         axis = 0 if abs(n[0]) < 0.6 else 1
@@ -44,26 +45,33 @@ def openness(points: Array, normals: Array, corners: Array, planes: Array, is_si
             for local in _DIRECTIONS:
                 for c in range(3):
                     d[c] = local[0] * x[c] + local[1] * y[c] + (1 - 2 * side) * local[2] * n[c]
-                found[k, side] += _seen(points[k], d, corners, planes, is_sided, distances)
+                found[k, side] += _seen(points[k], d, corners, planes, is_sided, met, distances)
     return found
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _seen(x: Array, d: Array, corners: Array, planes: Array, is_sided: NDArray[np.bool_], distances: Array) -> int:
+def _seen(
+    x: Array, d: Array, corners: Array, planes: Array, is_sided: NDArray[np.bool_], met: Index, distances: Array
+) -> int:
     """1 if a ray sees a front first, -1 for a back, and 0 if neither is known."""
+    count = 0
     for f in range(len(corners)):
-        distances[f] = _distance(x, d, corners[f], planes[f])
+        distance = _distance(x, d, corners, planes, f)
+        if distance < np.inf:
+            met[count], distances[count] = f, distance
+            count += 1
     behind = _TOGETHER
     while True:
         nearest = np.inf
-        for f in range(len(corners)):
-            if distances[f] > behind:
-                nearest = min(nearest, distances[f])
+        for k in range(count):
+            if distances[k] > behind:
+                nearest = min(nearest, distances[k])
         if nearest == np.inf:
             return 0
         behind, net = nearest + _TOGETHER, 0
-        for f in range(len(corners)):
-            if nearest <= distances[f] <= behind:
+        for k in range(count):
+            if nearest <= distances[k] <= behind:
+                f = met[k]
                 if not is_sided[f]:
                     return 1
                 cosine = planes[f, 0] * d[0] + planes[f, 1] * d[1] + planes[f, 2] * d[2]
@@ -73,20 +81,22 @@ def _seen(x: Array, d: Array, corners: Array, planes: Array, is_sided: NDArray[n
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _distance(x: Array, d: Array, corners: Array, plane: Array) -> float:
-    """Along a ray to a face, infinite if it misses."""
-    cosine = plane[0] * d[0] + plane[1] * d[1] + plane[2] * d[2]
+def _distance(x: Array, d: Array, corners: Array, planes: Array, f: int) -> float:
+    """Along a ray to a face, infinite if it misses. Numbers are cheaper than views."""
+    nx, ny, nz = planes[f, 0], planes[f, 1], planes[f, 2]
+    cosine = nx * d[0] + ny * d[1] + nz * d[2]
     if cosine == 0.0:
         return np.inf
-    t = (plane[3] - plane[0] * x[0] - plane[1] * x[1] - plane[2] * x[2]) / cosine
+    t = (planes[f, 3] - nx * x[0] - ny * x[1] - nz * x[2]) / cosine
     if t <= 0.0:
         return np.inf
     px, py, pz = x[0] + t * d[0], x[1] + t * d[1], x[2] + t * d[2]
     for i in range(4):
         j = (i + 1) % 4
-        ex, ey, ez = corners[j, 0] - corners[i, 0], corners[j, 1] - corners[i, 1], corners[j, 2] - corners[i, 2]
-        ax, ay, az = px - corners[i, 0], py - corners[i, 1], pz - corners[i, 2]
-        inward = plane[0] * (ey * az - ez * ay) + plane[1] * (ez * ax - ex * az) + plane[2] * (ex * ay - ey * ax)
+        cx, cy, cz = corners[f, i, 0], corners[f, i, 1], corners[f, i, 2]
+        ex, ey, ez = corners[f, j, 0] - cx, corners[f, j, 1] - cy, corners[f, j, 2] - cz
+        ax, ay, az = px - cx, py - cy, pz - cz
+        inward = nx * (ey * az - ez * ay) + ny * (ez * ax - ex * az) + nz * (ex * ay - ey * ax)
         if inward < 0.0:
             return np.inf
     return t
