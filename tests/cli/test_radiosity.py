@@ -188,6 +188,14 @@ def test_exact_form_factors_of_a_room_with_a_box(capsys):
     assert "method lines: bundles is asked for" in capsys.readouterr().err
 
 
+def test_exact_form_factors_of_boxes_on_a_floor(capsys):
+    """One box of the scene stands on its floor, the other one is in part below."""
+    for method in ("-m exact --error 0.01", "-m auto", "--exact --error 0.01"):
+        assert run(f"form-factors cornell-box {method} -o boxes.npz") == 0
+        err = capsys.readouterr().err
+        assert "form factors (exact)" in err and "% of what patches see is the sky" in err
+
+
 def test_a_room_that_is_turned_outward_is_noticed(capsys):
     write_room("flipped.ply", inward=False)
     assert run("form-factors flipped.ply --bundles 8") == 0

@@ -178,8 +178,8 @@ def test_a_door_on_a_wall_is_named(caplog):
         with caplog.at_level(logging.WARNING, logger="etendue"):
             use(patches)
     assert [record.getMessage() for record in caplog.records] == [
-        "faces 4 and 6 lie on each other and face the same way; it is arbitrary which of them receives the light: cut "
-        "the lower one, or remove one"
+        "faces 4 and 6 lie on each other and face the same way; it is arbitrary which of them receives the light (of "
+        "exact form factors, the smaller): cut the lower one, or remove one"
     ]
     caplog.clear()
     with caplog.at_level(logging.WARNING, logger="etendue"):

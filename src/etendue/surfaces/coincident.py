@@ -37,7 +37,7 @@ class Coincident:
     flat: (f,) those of them that are part of no solid: all faces connected with them, at common corners, lie in a
         plane.
     clashing: (k, 2) pairs of faces that bear a patch on the same side, such as a door on a wall: it is arbitrary which
-        of them receives the light.
+        of them receives the light of lines and rays.
     """
 
     pairs: Index
@@ -89,7 +89,8 @@ class Coincident:
         if len(self.clashing) and not self._is_told:
             self._is_told = True
             logger.warning(
-                "%s; it is arbitrary which of them receives the light: cut the lower one, or remove one",
+                "%s; it is arbitrary which of them receives the light (of exact form factors, the smaller): cut the "
+                "lower one, or remove one",
                 self.named(patches),
             )
 

@@ -19,6 +19,7 @@ from ..compiling import compiled
 from ..errors import RadiosityError, check_no_period
 from ..lines.abuffer import ABuffer
 from ..lines.engine import warn_of_backs
+from .contacts import Contacts, quadrilaterals, refusal
 from .formfactors import FormFactors, numbers_of
 from .occluders import Index, Occluders, occluders
 
@@ -34,6 +35,10 @@ _PILOT, _RUN = 200_000, 8
 _TASKS = 128
 #: Error of form factors between distant patches that see all of each other: a share of the tolerance, at least this.
 _OF_TOLERANCE, _LEAST = 0.01, 1e-8
+#: Vertices are behind a plane if they are further behind than this, in radii of the scene: a rounded one.
+_BEHIND = 3e-6
+#: Areas in contact are the same if they differ by less, in squares of the radius: slivers are left out.
+_SAME_AREA = 1e-4
 #: Tolerance of row sums of closed scenes; a larger deficit is the share of the sky.
 _CLOSED = 1e-6
 
@@ -49,11 +54,15 @@ def exact_form_factors(
     closed form from points of the smaller patch: from some of Sobol's sequence, as many as the tolerance needs for the
     size of the form factor, or from those of triangles that are divided where they differ. ``errors`` has estimates.
 
-    Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the share of the sky and of
-    backs of faces; deficits below 1e-6, or below the errors of the row, are left.
+    Faces that are partly behind each other's plane are clipped. Where faces lie on each other, what is covered is not
+    seen, and sides in contact see each other: a box and the floor, but not rooms that share a wall, nor the sides of a
+    thin plate. Of faces that face the same way, such as a door on a wall, the smaller one is in front. The deficit of a
+    row sum is the share of the sky and of backs of faces; deficits below 1e-6, or below the errors of the row, are
+    left.
 
-    Raises :class:`RadiosityError` if a face lies on another, if more pieces of a face are seen between others than
-    there is room for, and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
+    Raises :class:`RadiosityError` for sheets with two sides on each other, for faces in one place that have no order,
+    if more pieces of a face are seen between others than there is room for, and for more patches than fit into memory:
+    use lines (:class:`ABuffer`) then.
     :class:`etendue.core.BackendError` without Numba.
     """
     pairs, n = _pairs(patches, tolerance), len(patches)
@@ -61,6 +70,7 @@ def exact_form_factors(
     tasks = _tasks(pairs.sides.patch, n)
     for k, _ in enumerate(in_order(partial(pairs.integrate, rows, exchange, errors) for rows in tasks)):
         tell(f"integrating, {100 * k // len(tasks)} %")
+    exchange += pairs.touching
     exchange *= pairs.radius**2
     errors *= pairs.radius**2
     dark = exchange[:n, n] / patches.divisors
@@ -96,12 +106,13 @@ def exact_seconds(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> float
 
 @dataclass(frozen=True)
 class _Pairs:
-    """All pairs of the sides of patches, in radii of the scene."""
+    """All pairs of the sides of patches, in radii of the scene; ``faces``: their numbers."""
 
     loops: Any
     sides: Any
     occluders: Occluders
     faces: Index
+    touching: Any
     radius: float
     tolerance: float
 
@@ -129,21 +140,54 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
             f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
             "or without --exact)"
         )
-    if len(patches.coincident.pairs):
-        upper, lower = patches.coincident.pairs[0]
-        raise RadiosityError(
-            f"faces {upper} and {lower} lie on each other, which exact form factors cannot tell apart: remove one, or "
-            "cast lines (ABuffer, or without --exact)"
-        )
     centre, radius = patches.sphere
     corners = (patches.vertices[patches.faces] - centre) / radius
     planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
+    contacts = Contacts.of(patches, corners, planes)
+    corners, planes = contacts.corners, contacts.planes
     faces, patch, turned = _sides(patches, _backs_are_seen(patches))
-    shapes, of = corners[faces], planes[faces]
+    shapes, kept = _uncovered(contacts, faces, turned)
+    faces, patch, turned = faces[kept], patch[kept], turned[kept]
+    of = planes[faces]
     shapes[turned], of[turned] = shapes[turned, ::-1], -of[turned]
     distances = rules.least_distances(max(_OF_TOLERANCE * tolerance, _LEAST))
     sides = loops.Sides(shapes, of, patch, _balls(shapes), rules.nodes_of(shapes), distances)
-    return _Pairs(loops, sides, occluders(corners, planes), faces, radius, tolerance)
+    touching = _touching(patches, contacts)
+    return _Pairs(loops, sides, occluders(corners, planes), patches.numbers[faces], touching, radius, tolerance)
+
+
+def _uncovered(contacts: Contacts, faces: Index, turned: NDArray[np.bool_]) -> tuple[Array, Index]:
+    """Polygons (s, 4, 3) that sides consist of where nothing lies on them, and the side that each belongs to."""
+    shapes, count = list(contacts.corners[faces, None]), np.ones(len(faces), np.int64)
+    for k in np.flatnonzero(np.isin(faces, list(contacts.partners))):
+        face, front = int(faces[k]), not turned[k]
+        if contacts.covered(face, front):
+            parts = [quad for part in contacts.uncovered(face, front)[0] for quad in quadrilaterals(part)]
+            shapes[k], count[k] = np.array(parts).reshape(-1, 4, 3), len(parts)
+    return np.concatenate(shapes), np.repeat(np.arange(len(faces)), count)
+
+
+def _touching(patches: Patches, contacts: Contacts) -> Any:
+    """A F (n + 1, n + 1) of sides in contact; those of two patches in two halves, which are added.
+
+    Raises :class:`RadiosityError` if the faces in one place have no order."""
+    n, of = len(patches), {True: patches.front, False: patches.back}
+    areas = {}
+    for face in contacts.partners:
+        for front in (True, False):
+            if of[front][face] >= 0 and contacts.covered(face, front):
+                for cover in contacts.uncovered(face, front)[1]:
+                    areas[face, front, cover.face] = cover.area
+    rows, columns, values = [], [], []
+    for (face, front, other), area in areas.items():
+        theirs = contacts.facing_front(face, front, other)
+        i, j = of[front][face], of[theirs][other]
+        if j >= 0 and abs(areas.get((other, theirs, face), 0.0) - area) > _SAME_AREA:
+            raise RadiosityError(refusal(patches, face, other, "and on others, in no order"))
+        rows.append(i)
+        columns.append(j if j >= 0 else n)
+        values.append(area / 2 if j >= 0 else area)
+    return sparse().coo_array((values, (rows, columns)), (n + 1, n + 1)).toarray() if values else 0.0
 
 
 def _backs_are_seen(patches: Patches) -> bool:
@@ -192,18 +236,30 @@ def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
     corners = place[patches.faces]
     faulty = place[np.concatenate([found.open_edges, found.crowded_edges, found.flipped_edges]).ravel()]
     hidden = np.zeros(len(corners), dtype=bool)
-    points = patches.vertices[patches.faces]
+    centre, radius = patches.sphere
+    points = (patches.vertices[patches.faces] - centre) / radius
     for k in np.unique(part):
         ours = part == k
         if np.isin(corners[ours], faulty).any() or (patches.back[ours] >= 0).any():
             continue
-        surface, others = points[ours], points[~ours].reshape(-1, 3)
+        surface, others = points[ours], points[~ours]
         vectors, _ = face_vectors(patches.vertices, patches.faces[ours])
-        outward = (vectors * surface.mean(axis=1)).sum() > 0
-        low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
-        inside = ((others > low) & (others < high)).all(axis=1)
-        hidden[ours] = not inside.any() if outward else inside.all()
+        if (vectors * surface.mean(axis=1)).sum() > 0:
+            low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
+            is_apart = (others.min(axis=1) >= high) | (others.max(axis=1) <= low)
+            hidden[ours] = is_apart.any(axis=1).all()
+        else:
+            hidden[ours] = not len(others) or _are_before(points.reshape(-1, 3), surface[:, 0], vectors)
     return hidden
+
+
+def _are_before(vertices: Array, points: Array, vectors: Array) -> bool:
+    """Whether no vertex is behind any of the planes through ``points`` (k, 3) along ``vectors`` (k, 3)."""
+    normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    heights = (normals * points).sum(axis=1, keepdims=True)
+    planes = np.unique(np.round(np.hstack([normals, heights]), 6), axis=0)
+    vertices = np.unique(vertices, axis=0)
+    return all((vertices @ plane[:3] - plane[3] > -_BEHIND).all() for plane in planes)
 
 
 def _tasks(patch: Index, n: int) -> list[Index]:

@@ -91,7 +91,8 @@ def hidden_exchange(
         # `seen` is now from the middle; two rules may agree by chance, three seldom do.
         value = 0.5 * (inner + outer)
         change = area * max(abs(inner - outer), abs(inner - seen), abs(outer - seen))
-        if change <= tolerance * math.sqrt(area / whole) or level == _DEPTH:
+        # From few points alone, a hole may be missed that is as large as a quarter of the triangle.
+        if (change <= tolerance * math.sqrt(area / whole) and level > 0) or level == _DEPTH:
             total += area * value
             error += change
             continue

@@ -246,9 +246,9 @@ class _Lines:
             pair_after,
             label="line lists: first face",
         )
-        # The line has only pairs: sheets, or, if their number is even, the walls of a box in a corner of a room. Faces
-        # that do not coincide are a touched corner: they keep their order.
-        is_box = (kind == 1) & (((alone - i) & 3) == 0)
+        # The line has only pairs: a sheet, or, if there are several, boxes from wall to wall of a room. Faces that do
+        # not coincide are a touched corner: they keep their order.
+        is_box = (kind == 1) & (alone - i > 2)
         of_pairs = self._solid & ((kind == 0) | is_box)
         corner = of_pairs | ((kind == 0) & (near == self._dark) & (following - at > 1))
         at_first = dr.select(alone < self._count, near_alone == self._dark, corner)

@@ -317,9 +317,9 @@ def _settle(
             alone += 2
         if alone < count:
             inside = ends[order[alone] & _LOW, 0] == dark
-        elif kind == 1 and alone % 4 != 0:  # sheets
+        elif kind == 1 and alone == 2:  # a sheet
             inside = False
-        elif solid:  # the line passes through the walls of a box in a corner of a room
+        elif solid:  # through a box in a corner of a room, or boxes on each other from its floor to its ceiling
             inside = True
         elif leaves:  # the faces of a touched corner keep their order, two coincident faces are a sheet
             inside = kind == 0 and _apart(order, k) > _SAME
