@@ -165,13 +165,20 @@ def test_the_radiosity_benchmark_counts_and_solves():
     assert columns["patches"] == "86" and 0 < float(columns["error"]) < 0.1
 
 
+def test_the_benchmark_of_cities_compares_lines_and_integrals():
+    record = module("cities").measure([1], 256, 1e-3)
+    lines, integrals = (dict(zip(record.columns, row, strict=True)) for row in record.rows)
+    assert (lines["facets"], lines[""], integrals[""]) == ("24", "lines", "integrals")
+    assert 0 < float(lines["sky error"]) < 0.03 and 0 < float(integrals["sky error"]) < 0.01
+
+
 @pytest.mark.slow
 def test_the_view_factor_benchmark_measures_lines_and_says_how_to_get_the_others(monkeypatch):
     view_factors = module("view_factors")
     monkeypatch.setattr(view_factors, "_RUNS", 2)
     monkeypatch.setattr(view_factors, "_BUNDLES", 256)
     record = view_factors.measure([4], 256, 4000, None, None)
-    assert [row[0] for row in record.rows] == ["lines", "lines, cold"]
+    assert [row[0] for row in record.rows] == ["lines", "lines, cold", "integrals"]
     for row in record.rows:
         columns = dict(zip(record.columns, row, strict=True))
         assert 0 < float(columns["F J error"]) < 0.1 and 0 < float(columns["error"]) < 0.1
