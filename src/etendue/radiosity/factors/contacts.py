@@ -54,7 +54,7 @@ class Contacts:
             self.partners[a].append(b)
 
     @classmethod
-    def of(cls, patches: Patches, corners: Array, planes: Array) -> Contacts:
+    def of(cls, patches: Patches) -> Contacts:
         """Find which of the faces that lie on each other is in front.
 
         Along any line air and solids take turns, and rays find which of them is on both sides. Fronts are in contact
@@ -64,6 +64,9 @@ class Contacts:
 
         Raises :class:`RadiosityError` for sheets on each other, and for too many faces in one place.
         """
+        centre, radius = patches.sphere
+        corners = (patches.vertices[patches.faces] - centre) / radius
+        planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
         if not len(patches.coincident.pairs):
             return cls(corners, planes, {})
         corners, planes = _in_common_planes(patches, corners, planes)
@@ -73,13 +76,25 @@ class Contacts:
         """Whether anything lies on a side of a face."""
         return any(self.in_front[face, other] == front for other in self.partners.get(face, ()))
 
+    def covers(self, face: int, front: bool) -> list[int]:
+        """The faces that lie on a side, the nearest first: with the fewest of the others between."""
+        found = {other for other in self.partners.get(face, ()) if self.in_front[face, other] == front}
+
+        def between(other: int) -> int:
+            return sum(self._is_between(face, k, other) for k in self.partners[other] if k in found)
+
+        return sorted(sorted(found), key=between)
+
+    def edges(self, face: int) -> Array:
+        """(4, 4) planes through the edges of a face, along its normal, that face inward; of a triangle, one twice."""
+        planes = _inward(ring(self.corners[face]), self.planes[face, :3])
+        return planes[[0, 1, 2, len(planes) - 1]]
+
     def uncovered(self, face: int, front: bool) -> tuple[list[Array], list[Cover]]:
         """The convex parts (k, 3) of a side that nothing lies on, and what lies on the others."""
-        covers = [other for other in self.partners[face] if self.in_front[face, other] == front]
         normal = self.planes[face, :3]
         parts, touching = [ring(self.corners[face])], []
-        # The nearest first: with the fewest of the others between.
-        for other in sorted(covers, key=lambda other: sum(self._is_between(face, k, other) for k in covers)):
+        for other in self.covers(face, front):
             shape, area, left = _turned(ring(self.corners[other]), normal, self.planes[other]), 0.0, []
             for part in parts:
                 outside, inside = _difference(part, shape, normal)
@@ -153,7 +168,7 @@ class _Stacks:
         overlap = _overlap(shapes[a], shapes[b], normal)
         if overlap is None:
             return None
-        near = sorted((self._partners[a] | self._partners[b]) - {a, b})
+        near = sorted(self._partners[a] & self._partners[b])
         parts = [overlap]
         for k in near:
             shape = _turned(ring(self.corners[k]), normal, self.planes[k])

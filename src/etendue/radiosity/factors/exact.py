@@ -140,11 +140,8 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
             f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
             "or without --exact)"
         )
-    centre, radius = patches.sphere
-    corners = (patches.vertices[patches.faces] - centre) / radius
-    planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
-    contacts = Contacts.of(patches, corners, planes)
-    corners, planes = contacts.corners, contacts.planes
+    contacts = Contacts.of(patches)
+    corners, planes, radius = contacts.corners, contacts.planes, patches.sphere[1]
     faces, patch, turned = _sides(patches, _backs_are_seen(patches))
     shapes, kept = _uncovered(contacts, faces, turned)
     faces, patch, turned = faces[kept], patch[kept], turned[kept]

@@ -14,7 +14,9 @@ from etendue.core import Array, sparse
 from etendue.points import OwenSobol, PointSet
 from etendue.surfaces import BATCH, STEP, RayScene, RaySource, Sides, cosine_lanes, even_lanes
 
-from ..errors import RadiosityError
+from ..errors import RadiosityError, check_no_period
+from ..lines.engine import warn_of_backs
+from .covered import CoveredSides
 from .formfactors import FormFactors, numbers_of
 
 Index = NDArray[np.int64]
@@ -36,8 +38,10 @@ def local_form_factors(
     ========== ================================== ==================================================
 
     [Castro 2002, sec. 2.3.1]. Errors are those of independent rays. ``points`` of four dimensions, by default a
-    scrambled Sobol' sequence; each row takes the next ``samples`` of them. ``tell`` receives the progress. Raises
-    :class:`RadiosityError` for another estimator, rows that are no patches, and fewer than two samples.
+    scrambled Sobol' sequence; each row takes the next ``samples`` of them. ``tell`` receives the progress. Rays that
+    start where solids touch meet the other solid. Warns if much of what patches see is backs of faces. Raises
+    :class:`RadiosityError` for another estimator, rows that are no patches, fewer than two samples, and faces on each
+    other of which it is not known which one is in front (see :func:`exact_form_factors`).
     """
     n = len(scene.patches)
     laws = {"cosine": cosine_lanes, "angles": even_lanes}
@@ -49,7 +53,8 @@ def local_form_factors(
     if samples < 2:
         raise RadiosityError(f"a form factor with its error needs at least two rays, not {samples}")
     chosen = np.unique(chosen[~scene.patches.empty[chosen]])
-    points, source = points or OwenSobol(4), RaySource(scene, Sides.of(scene.patches))
+    points, sides = points or OwenSobol(4), Sides.of(scene.patches)
+    source, covered = RaySource(scene, sides), CoveredSides(scene, sides, chosen)
     parts: tuple[list[Any], list[Any]] = [], []
     at_once = max(BATCH // samples, 1)
     for start in range(0, len(chosen), at_once):
@@ -60,7 +65,7 @@ def local_form_factors(
         places, ways = source.of(mi.UInt32(row.astype(np.uint32)), u[0], u[1]), laws[estimator](u[2], u[3])
         # With uniform angles each ray has the weight pi cos theta sin theta.
         weights = dr.pi * ways.z * dr.sqrt(1 - ways.z**2) if estimator == "angles" else dr.full(mi.Float, 1, len(row))
-        hits = scene.meets(places.origin, places.directions(ways))
+        hits = covered.meets(places, scene.meets(places.origin, places.directions(ways)))
         dr.eval(hits, weights)
         found, weight = np.array(hits), np.array(weights, dtype=np.float64)
         place = np.repeat(np.arange(len(here)), samples), found
@@ -76,8 +81,9 @@ def local_form_factors(
     lines = np.zeros(n, np.int64)
     lines[chosen] = samples
     sky, dark = np.asarray(mean[:, [n, n + 1]].todense()).T
-    numbers = numbers_of(scene.patches)
-    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines, dark, **numbers)
+    numbers, areas = numbers_of(scene.patches), scene.patches.areas
+    warn_of_backs(float(dark @ areas / max(areas[chosen].sum(), 1e-300)), "of what patches see is")
+    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, areas, lines, dark, **numbers)
 
 
 def _spread(parts: Sequence[Any], rows: Index, shape: tuple[int, int]) -> Any:
@@ -96,8 +102,10 @@ def area_form_factors(
     """Form factors F_ij of ``pairs`` (k, 2), from uniform points on both patches, and standard errors: (k,), (k,).
 
     F_ij = A_j / (pi N) times the sum of V cos cos' / r^2 [Castro 2002, sec. 2.3.1]. The variance is infinite for
-    patches that share an edge. Other arguments as in :func:`local_form_factors`.
+    patches that share an edge. Other arguments as in :func:`local_form_factors`. Raises :class:`RadiosityError` for
+    pairs that are no patches, fewer than two samples, and patches with a period.
     """
+    check_no_period(scene.patches, "form factors of pairs")
     chosen = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     n = len(scene.patches)
     if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:

@@ -13,6 +13,7 @@ from etendue.core import Array
 from etendue.points import PointSet
 from etendue.surfaces import BATCH, RayScene, RaySource, Sides, columns, cosine_lanes, pairs_of
 
+from ..factors.covered import CoveredSides
 from .engine import LineEngine
 from .segments import Directed, Pairs
 
@@ -24,12 +25,15 @@ class LocalRays(LineEngine):
     lines for few surfaces in a large space.
 
     bundle: number of rays that count as one bundle; each ray has its own point.
+
+    Raises :class:`RadiosityError` for faces on each other of which it is not known which one is in front.
     """
 
     def __init__(self, scene: RayScene, points: PointSet | None = None, bundle: int = 1) -> None:
         super().__init__(scene.patches, points)
         self.scene, self.bundle = scene, bundle
-        self._source = RaySource(scene, Sides.of(scene.patches))
+        sides = Sides.of(scene.patches)
+        self._source, self._covered = RaySource(scene, sides), CoveredSides(scene, sides)
 
     def expected(self, count: int) -> Array:
         """See :class:`LineEngine`: as many rays leave a patch as hit it."""
@@ -52,7 +56,7 @@ class LocalRays(LineEngine):
             u = self.points.lanes(mi.UInt32, number * self.bundle, start * self.bundle)
             places = self._source.any(u[0], u[1])
             directions = places.directions(cosine_lanes(u[2], u[3]))
-            found = self.scene.meets(places.origin, directions)
+            found = self._covered.meets(places, self.scene.meets(places.origin, directions))
             pairs = pairs_of(self._source.patch_of(places.side), found)
             # A patch receives as many rays from another patch as it sends there, but none from the sky or from backs of
             # faces: segments to these count twice.
