@@ -258,11 +258,16 @@ def _in_common_planes(patches: Patches, corners: Array, planes: Array) -> tuple[
 
 def _are_flat(patches: Patches, corners: Array, planes: Array) -> dict[int, bool]:
     """Whether all faces of the connected surface of a face that lies on others are in its plane."""
-    part, flat = surfaces_of(patches), {}
-    for face in np.unique(patches.coincident.pairs).tolist():
-        heights = corners[part == part[face]] @ planes[face, :3] - planes[face, 3]
-        flat[face] = bool(np.abs(heights).max() < _FLAT)
-    return flat
+    part, lying = surfaces_of(patches), np.unique(patches.coincident.pairs)
+    # The plane of the largest of these faces tells: if the surface is flat, those of the others are the same.
+    largest, bent = np.full(part.max() + 1, -1), np.zeros(part.max() + 1, bool)
+    ascending = lying[np.argsort(patches.face_areas[lying], kind="stable")]
+    largest[part[ascending]] = ascending
+    ours = np.flatnonzero(largest[part] >= 0)
+    plane = planes[largest[part[ours]]]
+    heights = np.abs((corners[ours] * plane[:, None, :3]).sum(axis=2) - plane[:, 3:]).max(axis=1)
+    bent[part[ours[heights >= _FLAT]]] = True
+    return dict(zip(lying.tolist(), (~bent[part[lying]]).tolist(), strict=True))
 
 
 def _bodies(patches: Patches, corners: Array, planes: Array) -> Index:

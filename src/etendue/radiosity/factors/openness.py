@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from etendue.core import Array
+from etendue.surfaces import box_tree
 
 from .occluders import Index
 
@@ -20,18 +22,37 @@ _HEIGHTS = np.sqrt(1 - (np.arange(7) + 0.6) / 8)
 _DIRECTIONS = np.column_stack(
     [np.sqrt(1 - _HEIGHTS**2) * np.cos(_AZIMUTHS), np.sqrt(1 - _HEIGHTS**2) * np.sin(_AZIMUTHS), _HEIGHTS]
 )
+#: Boxes of faces are wider by this, in radii of the scene: far more than rounding.
+_WIDER = 1e-9
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
 def openness(points: Array, normals: Array, corners: Array, planes: Array, is_sided: NDArray[np.bool_]) -> Index:
     """(k, 2) what is before and behind each point, along its normal: rays that see a front, less those that see a back.
 
     Faces that a ray meets together, such as those of solids that touch, count as what is left when fronts and backs of
     ``is_sided`` ones cancel; if nothing is left, the ray goes on.
     """
+    tree = box_tree(corners.min(axis=1) - _WIDER, corners.max(axis=1) + _WIDER)
+    result: Index = _openness(points, normals, corners, planes, is_sided, *tree)
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _openness(
+    points: Array,
+    normals: Array,
+    corners: Array,
+    planes: Array,
+    is_sided: NDArray[np.bool_],
+    boxes: Array,
+    links: Index,
+    order: Index,
+    depth: int,
+) -> Any:
     found = np.zeros((len(points), 2), np.int64)
     x, y, d = np.empty(3), np.empty(3), np.empty(3)
     met, distances = np.empty(len(corners), np.int64), np.empty(len(corners))
+    stack = np.empty(depth + 2, np.int64)
     for k in range(len(points)):
         n = normals[k]
         axis = 0 if abs(n[0]) < 0.6 else 1
@@ -45,21 +66,43 @@ def openness(points: Array, normals: Array, corners: Array, planes: Array, is_si
             for local in _DIRECTIONS:
                 for c in range(3):
                     d[c] = local[0] * x[c] + local[1] * y[c] + (1 - 2 * side) * local[2] * n[c]
-                found[k, side] += _seen(points[k], d, corners, planes, is_sided, met, distances)
+                count, top = 0, 1
+                stack[0] = 0
+                while top > 0:
+                    top -= 1
+                    node = stack[top]
+                    if not _meets(points[k], d, boxes, node):
+                        continue
+                    if links[node, 1] == 0:
+                        stack[top], stack[top + 1] = node + 1, links[node, 0]
+                        top += 2
+                        continue
+                    for f in order[links[node, 0] : links[node, 0] + links[node, 1]]:
+                        distance = _distance(points[k], d, corners, planes, f)
+                        if distance < np.inf:
+                            met[count], distances[count] = f, distance
+                            count += 1
+                found[k, side] += _seen(d, planes, is_sided, met, distances, count)
     return found
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _seen(
-    x: Array, d: Array, corners: Array, planes: Array, is_sided: NDArray[np.bool_], met: Index, distances: Array
-) -> int:
-    """1 if a ray sees a front first, -1 for a back, and 0 if neither is known."""
-    count = 0
-    for f in range(len(corners)):
-        distance = _distance(x, d, corners, planes, f)
-        if distance < np.inf:
-            met[count], distances[count] = f, distance
-            count += 1
+def _meets(x: Array, d: Array, boxes: Array, node: int) -> bool:
+    """Whether a ray meets the box of a node."""
+    begin, end = 0.0, np.inf
+    for c in range(3):
+        if d[c] == 0.0:
+            if x[c] < boxes[node, 0, c] or x[c] > boxes[node, 1, c]:
+                return False
+            continue
+        one, other = (boxes[node, 0, c] - x[c]) / d[c], (boxes[node, 1, c] - x[c]) / d[c]
+        begin, end = max(begin, min(one, other)), min(end, max(one, other))
+    return begin <= end
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _seen(d: Array, planes: Array, is_sided: NDArray[np.bool_], met: Index, distances: Array, count: int) -> int:
+    """Of ``count`` faces that a ray has ``met``: 1 if it sees a front first, -1 for a back, 0 if neither is known."""
     behind = _TOGETHER
     while True:
         nearest = np.inf

@@ -9,11 +9,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, logger, sparse
+from etendue.core import Array, BackendError, logger, sparse
 from etendue.points import OwenSobol, PointSet
 from etendue.surfaces import BATCH, RayScene, RaySource, Sides, cosine_lanes, pairs_of
 
 from ..errors import RadiosityError
+from ..factors.covered import CoveredSides
 from .segments import Pairs, Segments
 
 #: Largest number of local rays, as a share of the segments; the rays then take about as long as the lines, including
@@ -95,7 +96,8 @@ def with_local_rays(
     These are the patches with fewer than ``least`` expected lines, by their area. Each sends ``least`` rays. If rays
     would be more than an eighth of the segments, ``least`` is halved repeatedly, down to two rays, whose difference
     gives the error. No rays are cast if all patches are alike, or if one ray each would be too many. Rays have single
-    precision: they cannot resolve patches below 1e-5 of the scene's size.
+    precision: they cannot resolve patches below 1e-5 of the scene's size. A warning says if patches on faces that lie
+    on each other get none, since it is not known which one is in front.
 
     scene: made from the patches if not given. points: four-dimensional points for the rays, by default a scrambled
     Sobol' sequence; not those of the lines. Raises :class:`RadiosityError` if the segments have local rays already.
@@ -103,6 +105,11 @@ def with_local_rays(
     if isinstance(segments, MixedSegments):
         raise RadiosityError("these segments have local rays already")
     rays, few = local_rays(segments.expected, len(segments), least)
+    if len(few) == 0:
+        return segments
+    scene = scene or RayScene(segments.patches)
+    sides = Sides.of(segments.patches)
+    covered, few = _covered(scene, sides, few)
     if len(few) == 0:
         return segments
     extra = np.zeros(len(segments.patches) + 2)  # sky and dark send no rays
@@ -115,8 +122,8 @@ def with_local_rays(
     is_few, none = extra > 0, np.empty((0, 2), np.uint32)  # a batch may have no lines
     for chunk, batch in zip(segments.chunks, segments.batches, strict=True):
         from_lines[batch].append(chunk[is_few[chunk[:, 0]] | is_few[chunk[:, 1]]])
-    scene = scene or RayScene(segments.patches)
-    for pairs, number, directions in _rays(scene, few, rays, points or OwenSobol(4, seed=1), directed):
+    source = RaySource(scene, sides)
+    for pairs, number, directions in _rays(source, covered, few, rays, points or OwenSobol(4, seed=1), directed):
         for batch in range(batches):
             ours = number * batches // rays == batch
             from_rays[batch].append(pairs[ours])
@@ -130,6 +137,18 @@ def with_local_rays(
     nowhere = (np.empty(0, np.uint32), np.empty((0, 3)))
     sky_rays = list(zip(to_sky, map(np.concatenate, ways), strict=True)) if directed else [nowhere] * batches
     return MixedSegments(segments, corrections, extra[:-2], rays * len(few), sky_rays)
+
+
+def _covered(scene: RayScene, sides: Sides, few: NDArray[np.int64]) -> tuple[CoveredSides, NDArray[np.int64]]:
+    """What rays from ``few`` patches meet, and these patches: without those on faces that lie on others, with a
+    warning, if it is not known which face is in front."""
+    try:
+        return CoveredSides(scene, sides, few), few
+    except (RadiosityError, BackendError) as error:
+        logger.warning("patches on faces that lie on each other get no local rays: %s", error)
+        lying = sides.patch[np.isin(sides.face, scene.patches.coincident.pairs)]
+        few = np.setdiff1d(few, lying)
+        return CoveredSides(scene, sides, few), few
 
 
 def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, NDArray[np.int64]]:
@@ -150,16 +169,20 @@ def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
 
 
 def _rays(
-    scene: RayScene, patches: NDArray[np.int64], rays: int, points: PointSet, directed: bool
+    source: RaySource,
+    covered: CoveredSides,
+    patches: NDArray[np.int64],
+    rays: int,
+    points: PointSet,
+    directed: bool,
 ) -> Iterator[tuple[Pairs, NDArray[np.int64], Array]]:
     """Segments (k, 2) of ``rays`` rays from each patch, the index of each ray within its patch, and its direction if
     ``directed``."""
-    source = RaySource(scene, Sides.of(scene.patches))
     at_once = max(BATCH // rays, 1)
     for start in range(0, len(patches), at_once):
         patch = mi.UInt32(np.repeat(patches[start : start + at_once], rays).astype(np.uint32))
         u = points.lanes(mi.UInt32, len(patch), start * rays)
         places = source.of(patch, u[0], u[1])
         directions = places.directions(cosine_lanes(u[2], u[3]))
-        pairs = pairs_of(patch, scene.meets(places.origin, directions))
+        pairs = pairs_of(patch, covered.meets(places, source.scene.meets(places.origin, directions)))
         yield pairs, np.arange(len(patch)) % rays, np.array(directions).T if directed else np.empty((0, 3))
