@@ -12,7 +12,8 @@ from support.buildings import energyplus, written
 
 import etendue
 from etendue.cli.main import main
-from etendue.radiosity import RadiosityError, read_form_factors, read_patches
+from etendue.formats import FormatError
+from etendue.radiosity import RadiosityError, check_factors, no_factors, read_form_factors, read_patches
 
 #: Form factors of opposite and of adjacent sides of a cube.
 PLATES, BESIDE = 0.19982490, 0.20004378
@@ -105,6 +106,17 @@ def test_groups_of_several_zones(building, tmp_path):
     assert list(joined.zones) == [""]
     with pytest.raises(RadiosityError, match="is of several zones: take other groups"):
         etendue.compute_form_factors(joined, bundles=16, groups=True, save=tmp_path / "f.idf")
+
+
+def test_names_of_zones_are_checked_before_anything_is_computed(building, tmp_path):
+    patches = read_patches(building)
+    patches.zones = np.where(patches.zones == "Z2", "Hall, east", patches.zones)
+    check_factors("f.epJSON", no_factors(patches))
+    with pytest.raises(FormatError, match="no names with ',', ';' or '!', as 'Hall, east': rename it"):
+        check_factors("f.idf", no_factors(patches))
+    patches.zones = None  # their zone is then that of the file
+    with pytest.raises(FormatError, match="as 'a,b'"):
+        check_factors("a,b.idf", no_factors(patches))
 
 
 def test_further_files(building, caplog):
