@@ -12,8 +12,17 @@ from support.buildings import energyplus, written
 
 import etendue
 from etendue.cli.main import main
+from etendue.engine import Budget
 from etendue.formats import FormatError
-from etendue.radiosity import RadiosityError, check_factors, no_factors, read_form_factors, read_patches
+from etendue.radiosity import (
+    RadiosityError,
+    check_factors,
+    known_rows,
+    no_factors,
+    read_form_factors,
+    read_notes,
+    read_patches,
+)
 
 #: Form factors of opposite and of adjacent sides of a cube.
 PLATES, BESIDE = 0.19982490, 0.20004378
@@ -58,6 +67,24 @@ def test_an_object_for_each_zone(building, method, capsys):
     read = read_form_factors("f.npz")
     assert list(read.zone) == 6 * ["Z1"] + 7 * ["Z2"]
     assert read.matrix[:6, 6:].nnz == read.matrix[6:, :6].nnz == 0
+
+
+@pytest.mark.parametrize(
+    ("asked", "first", "second"),
+    [
+        ({"method": "auto"}, {"estimator": "exact"}, {"seed": 5, "bundles": 64, "estimator": "F1"}),
+        ({"method": "rays", "error": 0.2}, *(2 * [{"estimator": "rays", "rays": 32, "seed": 5}])),
+    ],
+)
+def test_how_each_zone_was_made(building, monkeypatch, asked, first, second):
+    """Also by integrals in one zone and lines in the next; then all rows are known."""
+    monkeypatch.setattr("etendue.products.patches.tasks.choose", lambda patches, error: (len(patches) == 6, "a test"))
+    monkeypatch.setattr("etendue.products.patches.base._BUDGETS", {"bundles": Budget(samples=64)})
+    result = etendue.compute_form_factors(building, seed=5, save="f.npz", **asked)
+    known = read_notes("f.npz")[1]
+    assert known.keys() == {"software", "source", "zones"}
+    assert known["zones"] == {"Z1": first, "Z2": second} and known == result.metadata
+    assert known_rows(read_form_factors("f.npz")).all()
 
 
 def test_a_gap_shows_nothing_of_the_next_zone(tmp_path, variant):

@@ -45,7 +45,8 @@ def energyplus_surfaces(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
 
     The group ``zone`` is the enclosure whose surfaces exchange radiation: a space, or a zone without spaces, and those
     that air boundaries join. A wall to another zone of which only one side is in the file has the other one too, as
-    EnergyPlus makes it, named ``iz-`` and its name. Air boundaries, and windows in them, are left out. Raises :class:`PatchError`."""
+    EnergyPlus makes it, named ``iz-`` and its name. Air boundaries, and windows in them, are left out.
+    Raises :class:`PatchError`."""
     for kind in BY_ANGLES:
         for name in data.get(kind, {}):
             raise PatchError(f"{path}: '{name}' is a {kind}, given by angles: convert it to a :Detailed surface")
