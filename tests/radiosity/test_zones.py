@@ -23,6 +23,7 @@ from etendue.radiosity import (
     read_notes,
     read_patches,
 )
+from etendue.surfaces import zone_names
 
 #: Form factors of opposite and of adjacent sides of a cube.
 PLATES, BESIDE = 0.19982490, 0.20004378
@@ -156,6 +157,24 @@ def test_further_files(building, caplog):
     assert factors.matrix[floor, roof] < PLATES - 0.01 and factors.dark[roof] > 0.01
     assert read_patches(building, more=["desk.obj"]).zones is None
     assert "its zones are not kept beside a further file that has none" in caplog.text
+
+
+def test_zones_of_two_files_are_apart(tmp_path, variant):
+    """Two open rooms of the same name, face to face, see nothing of each other."""
+    walls = energyplus(shift=1.0)["BuildingSurface:Detailed"]
+    (tmp_path / "far").mkdir()
+    for file, zone, opening in (("a", "Z1", "Z1:East"), ("b", "Z2", "Z2:West"), ("far/b", "Z2", "Z2:West")):
+        own = {k: v | {"zone_name": "Hall"} for k, v in walls.items() if k.startswith(zone) and k != opening}
+        hall = {"BuildingSurface:Detailed": own, "Zone": {"Hall": {}}, "FenestrationSurface:Detailed": {}}
+        written(tmp_path, f"{file}.epJSON", energyplus() | hall)
+    paths = [tmp_path / name for name in ("a.epJSON", "b.epJSON", "far/b.epJSON")]
+    assert zone_names(read_patches(paths[0])) == ("Hall",)
+    patches = read_patches(paths[0], more=[paths[1]])
+    assert zone_names(patches) == ("a: Hall", "b: Hall")
+    factors = etendue.compute_form_factors(patches, "exact").factors
+    assert factors.matrix[:5, 5:].nnz == factors.matrix[5:, :5].nnz == 0
+    assert factors.sky[0] == pytest.approx(BESIDE, abs=1e-6)
+    assert zone_names(read_patches(paths[0], more=paths[1:])) == ("a: Hall", "b 2: Hall", "b 3: Hall")
 
 
 def test_what_is_in_the_file(building, capsys):
