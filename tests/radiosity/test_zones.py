@@ -12,6 +12,7 @@ from support.buildings import energyplus, written
 
 import etendue
 from etendue.cli.main import main
+from etendue.core import OptionError
 from etendue.engine import Budget
 from etendue.formats import FormatError
 from etendue.radiosity import (
@@ -134,6 +135,9 @@ def test_groups_of_several_zones(building, tmp_path):
     assert list(joined.zones) == [""]
     with pytest.raises(RadiosityError, match="is of several zones: take other groups"):
         etendue.compute_form_factors(joined, bundles=16, groups=True, save=tmp_path / "f.idf")
+    found = etendue.compute_form_factors(building, "exact", max_area=0.5, groups=True)
+    assert list(found.groups.zone) == 6 * ["Z1"] + 7 * ["Z2"]
+    assert all(zone.groups is None for zone in found.zones.values())
 
 
 def test_names_of_zones_are_checked_before_anything_is_computed(building, tmp_path):
@@ -189,5 +193,10 @@ def test_other_methods_and_workers(building, capsys):
     factors = etendue.compute_form_factors(building, "spheres", bundles=64).factors
     floor, roof = (list(factors.name).index(name) for name in ("Z1:Floor", "Z1:Roof"))
     assert factors.matrix[floor, roof] == pytest.approx(PLATES, abs=0.03)
+    for asked in ({"objects": "surfaces"}, {"objects": 13 * [0]}, {"walls": ("Z1:Floor",)}):
+        with pytest.raises(OptionError, match="are those of one zone: read one of Z1, Z2"):
+            etendue.compute_form_factors(building, "spheres", bundles=16, **asked)
+    alone = "-m spheres --objects surfaces --zone Z1 --bundles 16 -o f.npz"
+    assert main(f"form-factors {building} {alone}".split()) == 0 and len(read_form_factors("f.npz")) == 6
     assert main(f"form-factors {building} --workers 2 -o f.npz".split()) == 2
     assert "zones are computed one after the other" in capsys.readouterr().err
