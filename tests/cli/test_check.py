@@ -11,6 +11,7 @@ from support.run_files import SCENE
 
 from etendue.cli.main import main
 from etendue.radiosity import box, diagnose, orientation, read_patches
+from etendue.surfaces import save_patches
 
 
 def run(command: str) -> int:
@@ -76,6 +77,13 @@ def test_a_mesh_is_turned_and_written(capsys, suffix):
     if suffix in ("obj", "stl"):
         groups = read_patches(f"b.{suffix}", ids="groups")
         assert dict(zip(groups.names, groups.areas, strict=True)) == pytest.approx({"side": 4, "cover": 2})
+
+
+def test_faces_of_no_group_stay_so():
+    Path("a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\ng my wall\nf 1 2 3\ng roof\nf 1 4 2\ng\nf 1 3 4\n")
+    save_patches("b.obj", read_patches("a.obj"))
+    made = read_patches("b.obj")
+    assert sorted(zip(made.names, made.areas, strict=True)) == [("", 0.5), ("my wall", 0.5), ("roof", 0.5)]
 
 
 def test_only_meshes_are_turned(capsys):

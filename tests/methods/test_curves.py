@@ -13,6 +13,7 @@ from support.statistics import assert_agree
 from support.tables import thinned
 
 import etendue
+from etendue import methods
 from etendue.core import UnsupportedError
 from etendue.scene import load
 
@@ -65,6 +66,20 @@ def test_light_through_strands(name, bsdf, strands):
     assert_agree(run(problem, name).images, expected, name, precision=0.03)
 
 
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        (methods.get("vegas"), {"maps": 1}),
+        (methods.get("auto"), {"choice": "vcm"}),
+        (methods.ParticleTracing, {}),
+        (methods.MetropolisParticles, {}),
+    ],
+)
+def test_nothing_traces_light_paths_through_hair(method, settings, strands):
+    with pytest.raises(UnsupportedError, match="'strands' of type 'bsplinecurve' lets light through one way only"):
+        method(method.Settings.from_mapping(settings)).prepare(load(described(strands, "bsplinecurve", HAIR)), 1)
+
+
 def test_methods_with_light_paths_refuse_hair(strands):
     problem = load(described(strands, "bsplinecurve", HAIR))
     with pytest.raises(
@@ -73,10 +88,11 @@ def test_methods_with_light_paths_refuse_hair(strands):
         prepared(problem, "vcm")
 
 
-def test_the_end_of_a_curve_can_be_hit(tmp_path):
+@pytest.mark.parametrize("tip", [0.2, 0.0])
+def test_the_end_of_a_curve_can_be_hit(tip, tmp_path):
     """Mitsuba 3.9.1 reads the segment behind the last one there, which is beyond its memory."""
     file = tmp_path / "strand.txt"
-    file.write_text("".join(f"0 {y} 0 0.2\n" for y in range(6)))
+    file.write_text("".join(f"0 {y} 0 {0.2 if y < 5 else tip}\n" for y in range(6)))
     scene = described(str(file), "bsplinecurve", scenes.diffuse(0.5, 0.5, 0.5))
     problem = load(scene)
     again = load(problem.scene)

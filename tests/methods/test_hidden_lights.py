@@ -15,6 +15,8 @@ from support.statistics import assert_agree
 from support.tables import thinned
 
 import etendue
+from etendue.core import UnsupportedError
+from etendue.products.patches import picture
 
 
 def description(integrator: str = "path", **options: Any) -> dict[str, Any]:
@@ -71,6 +73,26 @@ def test_the_integrator_of_a_scene_says_so():
     shown = etendue.render(scene, "path", spp=4, hide_emitters=False)
     assert hidden.image.max() < 3.0 < shown.image.max()
     assert not hidden.image[0].any() and shown.image[0].all()  # the sky
+
+
+def test_a_lamp_that_bounds_a_medium_is_not_hidden():
+    scene = description()
+    scene["ball"] |= {"bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 0.4}}
+    with pytest.raises(UnsupportedError, match=r"shape 'ball' of type 'sphere' emits light and bounds a medium"):
+        etendue.render(scene, "path", spp=1)
+    assert etendue.render(scene, "path", spp=1, hide_emitters=False).image.any()
+
+
+@pytest.mark.parametrize("gather", [0, 16])
+def test_pictures_of_solutions_hide_lights(gather):
+    scene = description()
+    del scene["block"]
+    solution = etendue.solve_radiosity(scene, bundles=64).solution
+    hidden = picture(solution, scene, gather=gather).image
+    scene["integrator"]["hide_emitters"] = False
+    shown = picture(solution, scene, gather=gather).image
+    assert hidden.max() < 2.0 < shown.max()
+    assert not hidden[0].any() and shown[0].all()
 
 
 def test_first_hits_are_behind_lamps():

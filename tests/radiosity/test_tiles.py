@@ -86,7 +86,7 @@ def test_rays_to_an_error(tiles):
 
 def test_parts_of_a_subdivided_tile_belong_to_it(tiles):
     mesh = read_patches("west.obj", more=["middle.obj"], two_sided=True).subdivided(1.0)
-    assert mesh.files == (("west", 0), ("middle", 9))
+    assert mesh.files == (("west", 0), ("middle", 9)) == Patches.of_arrays(mesh.arrays()).files
     of_west = mesh.of_files(["west"])
     assert (mesh.centres[of_west, 0] <= 4).all() and (mesh.centres[~of_west, 0] >= 4).all()
     assert of_west[mesh.fronts :].any() and not of_west.all()
@@ -100,7 +100,7 @@ def test_rows_in_any_order():
     assert np.array_equal(np.unique(some.matrix.tocoo().row), [1, 4])
 
 
-def test_what_is_refused(tiles):
+def test_what_is_refused(tiles, tmp_path, capsys):
     mesh = read_patches("west.obj", more=["middle.obj", "east.obj"])
     parts = [etendue.compute_form_factors(mesh, "rays", error=0.2, rows=name).factors for name in NAMES]
     with pytest.raises(RadiosityError, match="9 of 27 rows are in no file, the first is row 9"):
@@ -124,6 +124,12 @@ def test_what_is_refused(tiles):
         with pytest.raises(OptionError):
             etendue.compute_form_factors(mesh, rows="west", **wrong)
     assert main(["join-factors", "missing.npz"]) != 0
+    (tmp_path / "other").mkdir()
+    write_tiles(tmp_path / "other", (1, 2, 3))
+    for path in ("west.stl", "other/west.obj"):  # one that does not exist, one that is not of this run
+        assert main(["form-factors", *tiles, "-m", "rays", "--rows", path, "-o", "f.npz"]) == 2
+        said = f"--rows '{path}' is none of the files of this run: west.obj, middle.obj, east.obj"
+        assert said in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".nc"])

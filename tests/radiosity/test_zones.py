@@ -12,7 +12,19 @@ from support.buildings import energyplus, written
 
 import etendue
 from etendue.cli.main import main
-from etendue.radiosity import RadiosityError, read_form_factors, read_patches
+from etendue.core import OptionError
+from etendue.engine import Budget
+from etendue.formats import FormatError
+from etendue.radiosity import (
+    RadiosityError,
+    check_factors,
+    known_rows,
+    no_factors,
+    read_form_factors,
+    read_notes,
+    read_patches,
+)
+from etendue.surfaces import zone_names
 
 #: Form factors of opposite and of adjacent sides of a cube.
 PLATES, BESIDE = 0.19982490, 0.20004378
@@ -57,6 +69,24 @@ def test_an_object_for_each_zone(building, method, capsys):
     read = read_form_factors("f.npz")
     assert list(read.zone) == 6 * ["Z1"] + 7 * ["Z2"]
     assert read.matrix[:6, 6:].nnz == read.matrix[6:, :6].nnz == 0
+
+
+@pytest.mark.parametrize(
+    ("asked", "first", "second"),
+    [
+        ({"method": "auto"}, {"estimator": "exact"}, {"seed": 5, "bundles": 64, "estimator": "F1"}),
+        ({"method": "rays", "error": 0.2}, *(2 * [{"estimator": "rays", "rays": 32, "seed": 5}])),
+    ],
+)
+def test_how_each_zone_was_made(building, monkeypatch, asked, first, second):
+    """Also by integrals in one zone and lines in the next; then all rows are known."""
+    monkeypatch.setattr("etendue.products.patches.tasks.choose", lambda patches, error: (len(patches) == 6, "a test"))
+    monkeypatch.setattr("etendue.products.patches.base._BUDGETS", {"bundles": Budget(samples=64)})
+    result = etendue.compute_form_factors(building, seed=5, save="f.npz", **asked)
+    known = read_notes("f.npz")[1]
+    assert known.keys() == {"software", "source", "zones"}
+    assert known["zones"] == {"Z1": first, "Z2": second} and known == result.metadata
+    assert known_rows(read_form_factors("f.npz")).all()
 
 
 def test_a_gap_shows_nothing_of_the_next_zone(tmp_path, variant):
@@ -105,6 +135,20 @@ def test_groups_of_several_zones(building, tmp_path):
     assert list(joined.zones) == [""]
     with pytest.raises(RadiosityError, match="is of several zones: take other groups"):
         etendue.compute_form_factors(joined, bundles=16, groups=True, save=tmp_path / "f.idf")
+    found = etendue.compute_form_factors(building, "exact", max_area=0.5, groups=True)
+    assert list(found.groups.zone) == 6 * ["Z1"] + 7 * ["Z2"]
+    assert all(zone.groups is None for zone in found.zones.values())
+
+
+def test_names_of_zones_are_checked_before_anything_is_computed(building, tmp_path):
+    patches = read_patches(building)
+    patches.zones = np.where(patches.zones == "Z2", "Hall, east", patches.zones)
+    check_factors("f.epJSON", no_factors(patches))
+    with pytest.raises(FormatError, match="no names with ',', ';' or '!', as 'Hall, east': rename it"):
+        check_factors("f.idf", no_factors(patches))
+    patches.zones = None  # their zone is then that of the file
+    with pytest.raises(FormatError, match="as 'a,b'"):
+        check_factors("a,b.idf", no_factors(patches))
 
 
 def test_further_files(building, caplog):
@@ -119,6 +163,24 @@ def test_further_files(building, caplog):
     assert "its zones are not kept beside a further file that has none" in caplog.text
 
 
+def test_zones_of_two_files_are_apart(tmp_path, variant):
+    """Two open rooms of the same name, face to face, see nothing of each other."""
+    walls = energyplus(shift=1.0)["BuildingSurface:Detailed"]
+    (tmp_path / "far").mkdir()
+    for file, zone, opening in (("a", "Z1", "Z1:East"), ("b", "Z2", "Z2:West"), ("far/b", "Z2", "Z2:West")):
+        own = {k: v | {"zone_name": "Hall"} for k, v in walls.items() if k.startswith(zone) and k != opening}
+        hall = {"BuildingSurface:Detailed": own, "Zone": {"Hall": {}}, "FenestrationSurface:Detailed": {}}
+        written(tmp_path, f"{file}.epJSON", energyplus() | hall)
+    paths = [tmp_path / name for name in ("a.epJSON", "b.epJSON", "far/b.epJSON")]
+    assert zone_names(read_patches(paths[0])) == ("Hall",)
+    patches = read_patches(paths[0], more=[paths[1]])
+    assert zone_names(patches) == ("a: Hall", "b: Hall")
+    factors = etendue.compute_form_factors(patches, "exact").factors
+    assert factors.matrix[:5, 5:].nnz == factors.matrix[5:, :5].nnz == 0
+    assert factors.sky[0] == pytest.approx(BESIDE, abs=1e-6)
+    assert zone_names(read_patches(paths[0], more=paths[1:])) == ("a: Hall", "b 2: Hall", "b 3: Hall")
+
+
 def test_what_is_in_the_file(building, capsys):
     assert main(["info", str(building), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -131,5 +193,10 @@ def test_other_methods_and_workers(building, capsys):
     factors = etendue.compute_form_factors(building, "spheres", bundles=64).factors
     floor, roof = (list(factors.name).index(name) for name in ("Z1:Floor", "Z1:Roof"))
     assert factors.matrix[floor, roof] == pytest.approx(PLATES, abs=0.03)
+    for asked in ({"objects": "surfaces"}, {"objects": 13 * [0]}, {"walls": ("Z1:Floor",)}):
+        with pytest.raises(OptionError, match="are those of one zone: read one of Z1, Z2"):
+            etendue.compute_form_factors(building, "spheres", bundles=16, **asked)
+    alone = "-m spheres --objects surfaces --zone Z1 --bundles 16 -o f.npz"
+    assert main(f"form-factors {building} {alone}".split()) == 0 and len(read_form_factors("f.npz")) == 6
     assert main(f"form-factors {building} --workers 2 -o f.npz".split()) == 2
     assert "zones are computed one after the other" in capsys.readouterr().err

@@ -189,6 +189,26 @@ def test_air_boundaries_join_zones(tmp_path, caplog):
     assert zone_names(read_patches(written(tmp_path, "a.epJSON", data))) == ("Z1", "Z2")
 
 
+def test_an_air_boundary_to_a_zone_is_open(tmp_path, caplog):
+    """EnergyPlus makes no other side of it, and a window in it closes nothing."""
+    data = energyplus(shift=1.0)
+    data["Construction:AirBoundary"] = {"Air": {}}
+    walls, (window,) = data["BuildingSurface:Detailed"], data["FenestrationSurface:Detailed"].values()
+    del walls["Z2:West"]
+    walls["Z1:East"] |= {"construction_name": "Air", "outside_boundary_condition": "Zone"}
+    walls["Z1:East"]["outside_boundary_condition_object"] = "Z2"
+    window["building_surface_name"] = "Z1:East"
+    for k, (_, y, z) in enumerate(WINDOW):
+        window |= {f"vertex_{k + 1}_{a}_coordinate": v for a, v in zip("xyz", (1, y, z), strict=True)}
+    for path in (written(tmp_path, "a.epJSON", data), written(tmp_path, "a.idf", as_idf(data))):
+        caplog.clear()
+        patches = read_patches(path)
+        names = [f"{zone}:{side}" for zone in ("Z1", "Z2") for side in CUBE]
+        assert list(patches.names) == [name for name in names if name not in ("Z1:East", "Z2:West")]
+        assert diagnose(patches).is_closed and zone_names(patches) == ("Enclosure of Z1",)
+        assert "in air boundaries are as open as these, and left out: Z2:Win" in caplog.text
+
+
 def test_spaces_are_enclosures(tmp_path):
     """Surfaces without a space in a zone with spaces are one more space."""
     data = energyplus(shift=1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -286,7 +287,7 @@ def form_factors(
         up=up,
         north=north,
         sky_patches=sky_patches,
-        rows=tuple(path.stem for path in rows or ()),
+        rows=_rows(rows or (), [Path(mesh), *(more or ())]),
         objects=objects,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         outputs=files,
@@ -304,6 +305,15 @@ def form_factors(
     if exact:
         logger.warning("--exact is now -m exact, and goes with the next version")
     return run_on_patches(run.task(), opt.Device(variant, threads, cluster, workers))
+
+
+def _rows(asked: Sequence[Path], files: Sequence[Path]) -> tuple[str, ...]:
+    """The names of the files whose rows are asked for, as those of patches."""
+    known = {path.resolve(): path.stem for path in files}
+    for path in asked:
+        if path.resolve() not in known:
+            raise OptionError(f"--rows '{path}' is none of the files of this run: {', '.join(map(str, files))}")
+    return tuple(known[path.resolve()] for path in asked)
 
 
 def radiosity(

@@ -35,7 +35,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, one_way, scatters
+from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, refuse_one_way, scatters
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -206,7 +206,7 @@ class ImageMethod(Method):
     #: Participating media that the method renders: "absorbing", "scattering" (both kinds), or None.
     media: ClassVar[str | None] = "absorbing"
     #: Whether the method renders hair, by camera paths alone: see :func:`etendue.scene.one_way`.
-    one_way: ClassVar[bool] = False
+    one_way: bool = False
     #: Whether the method renders under variants whose light is not RGB.
     spectral: ClassVar[bool] = False
     #: Whether meters may take the place of a camera: not if photons are merged, of which there are none on meters, nor
@@ -245,16 +245,15 @@ class ImageMethod(Method):
             raise UnsupportedError(
                 f"method '{self.name}' measures nothing at points or in one direction; use path, guided or bpt"
             )
-        if not self.one_way and (curve := one_way(problem.scene)) is not None:
-            raise UnsupportedError(
-                f"{graph.describe(curve, 'shape')} lets light through one way only, so that light paths cannot cross "
-                f"it, which method '{self.name}' needs; use auto, path or guided"
-            )
+        if not self.one_way:
+            refuse_one_way(problem.scene, f"method '{self.name}'")
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
         self.packet = Packet()
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent", self.packet)
         self.lights = LightTable(problem.scene, self.packet)
+        if self.settings.hide_emitters:
+            _check_hidden(problem.scene)
         self.visibility = Visibility(problem.scene, problem.sensor, self.packet, self.settings.hide_emitters)
         if self.visibility.media is not None:
             self._check_media(problem)
@@ -494,6 +493,16 @@ class ImageMethod(Method):
         layers = self.images(found, seed, hits.iteration, samples)
         layers["depth"] /= np.float32(self.problem.space.scale)
         return {name: layer * np.float32(samples / hits.rays) for name, layer in layers.items()}, bad
+
+
+def _check_hidden(scene: mi.Scene) -> None:
+    """Raise :class:`UnsupportedError` if a lamp that is to be hidden bounds a medium, which would be hidden with it."""
+    for shape in graph.shapes(scene):
+        if shape.is_emitter() and shape.is_medium_transition():
+            raise UnsupportedError(
+                f"{graph.describe(shape, 'shape')} emits light and bounds a medium, which hide_emitters would hide "
+                "with it; give the medium a shape of its own, or leave out hide_emitters"
+            )
 
 
 def _first_edge(s: CameraPath, walker: Walker, source: SampleSource) -> CameraPath:

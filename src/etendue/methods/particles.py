@@ -31,7 +31,7 @@ from etendue.core import (
     setting,
 )
 from etendue.particles import Keep, Particles, ParticleStore, ParticleWalk, Rows, Surfaces, SurfaceTable, columns_of
-from etendue.scene import LightTable, Problem, graph, refuse_media, require_rgb
+from etendue.scene import LightTable, Problem, graph, refuse_media, refuse_one_way, require_rgb
 from etendue.transport import (
     EMISSION,
     FIRST_BOUNCE,
@@ -146,6 +146,7 @@ class ParticleTracing(Method):
         self.problem = problem
         require_rgb("particles")
         refuse_media(problem.scene, "particles", problem.sensor)
+        refuse_one_way(problem.scene, "the tracing of particles")
         graph.without_literals(problem.scene)
         self.lights = LightTable(problem.scene)
         self._table = SurfaceTable(problem)

@@ -15,7 +15,7 @@ from etendue.engine import Budget, RunError, Runner, RunResult
 from etendue.film import COMPONENTS, LONGER, PixelFilter, Technique, is_variance
 from etendue.methods import ImageMethod
 from etendue.scene import Problem
-from etendue.transport import Visibility
+from etendue.transport import past_lamps
 
 from .prepared import Prepared
 
@@ -231,7 +231,6 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
     import mitsuba as mi
 
     width, height = problem.size
-    visibility = Visibility(problem.scene, problem.sensor, hides_lights=problem.hide_emitters)
     if problem.scene.environment() is not None and not problem.hide_emitters:
         return np.ones((height, width, 1), np.float32)
     reconstruction = PixelFilter(problem.sensor.film().rfilter(), width, height)
@@ -244,8 +243,8 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
         position = (mi.Point2f(pixel % width, pixel // width) + place) / mi.Point2f(width, height)
         ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
         seen = problem.scene.ray_intersect_preliminary(ray)
-        if (hidden := visibility.hidden) is not None:
-            seen = visibility.past_lamps(seen, ray, hidden)
+        if problem.hide_emitters:
+            seen = past_lamps(problem.scene, seen, ray)
         hit = dr.select(seen.is_valid(), mi.Float(1.0), 0.0)
         places = _alpha_places(first + dr.arange(mi.UInt32, count))
         dr.eval(hit, places)

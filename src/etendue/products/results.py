@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import InNotebooks
 
@@ -39,6 +39,8 @@ class FormFactorResult(InNotebooks):
     segments: Segments | None = None
     #: Bundles that were cast.
     bundles: int = 0
+    #: How they were made, as in the files.
+    metadata: Mapping[str, Any] = field(default_factory=dict)
     #: The limit that ended the casting: ``seconds``, ``samples`` (bundles), ``error`` or ``cancel``; or ``exact``.
     stopped_by: str
     #: Seconds of this run.

@@ -195,6 +195,7 @@ from .solvers.values import (
     radiosity_on as radiosity_on,
 )
 from .sources import (
+    GROUPINGS as GROUPINGS,
     PartSource as PartSource,
     PatchSource as PatchSource,
     part_ingredients as part_ingredients,

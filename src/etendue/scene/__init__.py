@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from . import graph as graph, meshes as meshes
     from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
     from .camera import MOVABLE as MOVABLE, Camera as Camera, described_sensor as described_sensor
-    from .capability import check as check, is_dark as is_dark, one_way as one_way
+    from .capability import check as check, is_dark as is_dark, one_way as one_way, refuse_one_way as refuse_one_way
     from .changes.edits import ParameterChanges as ParameterChanges, name_elements as name_elements
     from .changes.parameters import SceneEditor as SceneEditor, SceneParameter as SceneParameter
     from .changes.watching import Parameters as Parameters, parameters as parameters, view as view

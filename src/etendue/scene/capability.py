@@ -88,6 +88,15 @@ def one_way(scene: mi.Scene) -> mi.Shape | None:
     return None
 
 
+def refuse_one_way(scene: mi.Scene, who: str) -> None:
+    """Raise :class:`UnsupportedError` if light paths, which ``who`` needs, cannot cross it: see :func:`one_way`."""
+    if (shape := one_way(scene)) is not None:
+        raise UnsupportedError(
+            f"{describe(shape, 'shape')} lets light through one way only, so that light paths, which {who} needs, "
+            "cannot cross it; use auto, path or guided"
+        )
+
+
 def is_dark(scene: mi.Scene) -> bool:
     """Whether every emitter of a scene is known to be black."""
     return all(is_black(emitter) for emitter in scene.emitters())

@@ -25,9 +25,10 @@ def extend_curves(scene: mi.Scene) -> None:
             continue
         shape, segments = key.removesuffix("segment_indices"), as_array(parameters[key])
         points = as_array(parameters[shape + "control_points"]).reshape(-1, 4)
-        if not points[-1, 3] > 0.0:  # it was extended before
+        last = points[segments[-1] :]
+        if not last[:, 3].any():  # it was extended before
             continue
-        last = points[segments[-1] :] * [1.0, 1.0, 1.0, 0.0]
+        last = last * [1.0, 1.0, 1.0, 0.0]
         parameters[shape + "control_points"] = mi.Float(np.vstack([points, last]).astype(np.float32).ravel())
         parameters[key] = mi.UInt32(np.append(segments, len(points)).astype(np.uint32))
         parameters[shape + "control_point_count"] = len(points) + len(last)

@@ -190,6 +190,9 @@ class Patches(InNotebooks):
             known["zones"] = self.zones
         if self.period is not None:
             known["period"] = np.array(self.period)
+        if self.files:
+            known["files"] = np.array([name for name, _ in self.files])
+            known["firsts"] = np.array([first for _, first in self.files])
         return known
 
     @classmethod
@@ -204,6 +207,8 @@ class Patches(InNotebooks):
         patches.zones = arrays.get("zones")
         if "period" in arrays:
             patches.period = float(arrays["period"][0]), float(arrays["period"][1])
+        if "files" in arrays:
+            patches.files = tuple(zip(arrays["files"].tolist(), arrays["firsts"].tolist(), strict=True))
         return patches
 
     def __len__(self) -> int:

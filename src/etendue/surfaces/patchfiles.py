@@ -47,9 +47,9 @@ def save_patches(path: str | os.PathLike[str], patches: Patches) -> None:
 
 
 def _groups(patches: Patches) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """The name of each group, empty for none, and its faces."""
+    """The name of each group and its faces; first those of none, since in OBJ a group lasts until the next."""
     names = np.where(patches.front < 0, _OBSTACLES, patches.names[patches.front])
-    for name in dict.fromkeys(names.tolist()):
+    for name in sorted(dict.fromkeys(names.tolist()), key=bool):
         yield name, np.flatnonzero(names == name)
 
 

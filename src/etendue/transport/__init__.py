@@ -142,7 +142,7 @@ if TYPE_CHECKING:
     from .skyviews import SkyViews as SkyViews
     from .surrounding import Surroundings as Surroundings, surroundings as surroundings
     from .vertex import Vertex as Vertex, WalkVertex as WalkVertex
-    from .visibility import Visibility as Visibility
+    from .visibility import Visibility as Visibility, past_lamps as past_lamps
     from .walk import (
         CameraPath as CameraPath,
         Emission as Emission,

@@ -93,22 +93,6 @@ class Visibility:
         paths."""
         return mi.Bool(True) if self.hides_lights else None
 
-    def past_lamps(
-        self, hit: mi.PreliminaryIntersection3f, ray: mi.Ray3f, hidden: mi.Bool
-    ) -> mi.PreliminaryIntersection3f:
-        """What a ray meets behind lamps that are ``hidden``, if its end ``hit`` is on one."""
-
-        def onwards(passes: mi.Bool, hit: mi.PreliminaryIntersection3f) -> tuple[mi.Bool, mi.PreliminaryIntersection3f]:
-            start = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, passes).spawn_ray(ray.d)
-            start.maxt, moved = ray.maxt - hit.t, dr.dot(start.o - ray.o, ray.d)
-            behind = self.scene.ray_intersect_preliminary(start, active=passes)
-            behind.t += moved
-            hit = dr.select(passes, behind, hit)
-            return passes & hit.is_valid() & is_lamp(hit.shape), hit
-
-        passes = hidden & hit.is_valid() & is_lamp(hit.shape)
-        return dr.while_loop((passes, hit), lambda passes, _: passes, onwards, label="past lamps")[1]
-
     def material(self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f) -> Material:
         """The material at the end of a ray."""
         return Material(si.bsdf(ray), self.bsdfs)
@@ -245,6 +229,23 @@ class Visibility:
             transmittance *= tracked.passed
         passing = passed_by_walks(media, medium, distance, tracked) if media.scatters else None
         return transmittance, passing
+
+
+def past_lamps(
+    scene: mi.Scene, hit: mi.PreliminaryIntersection3f, ray: mi.Ray3f, hidden: mi.Bool | bool = True
+) -> mi.PreliminaryIntersection3f:
+    """What a ray meets behind lamps, if its end ``hit`` is on one and lamps are ``hidden`` from it."""
+
+    def onwards(passes: mi.Bool, hit: mi.PreliminaryIntersection3f) -> tuple[mi.Bool, mi.PreliminaryIntersection3f]:
+        start = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, passes).spawn_ray(ray.d)
+        start.maxt, moved = ray.maxt - hit.t, dr.dot(start.o - ray.o, ray.d)
+        behind = scene.ray_intersect_preliminary(start, active=passes)
+        behind.t += moved
+        hit = dr.select(passes, behind, hit)
+        return passes & hit.is_valid() & is_lamp(hit.shape), hit
+
+    passes = hidden & hit.is_valid() & is_lamp(hit.shape)
+    return dr.while_loop((passes, hit), lambda passes, _: passes, onwards, label="past lamps")[1]
 
 
 def is_lamp(shape: mi.ShapePtr) -> mi.Bool:

@@ -35,7 +35,7 @@ from .rays import Edge, WalkRecorder
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .tracking import Tracked, keys_of_ray, keys_of_walk, track
 from .vertex import WalkVertex
-from .visibility import Sight, Visibility, is_lamp
+from .visibility import Sight, Visibility, is_lamp, past_lamps
 
 
 @dataclass(kw_only=True)
@@ -200,7 +200,7 @@ class Walker:
             ray.maxt = dr.minimum(ray.maxt, free)
         hit = self.visibility.scene.ray_intersect_preliminary(ray, active=s.active)
         if s.hidden is not None:
-            hit = self.visibility.past_lamps(hit, ray, s.active & s.hidden)
+            hit = past_lamps(self.visibility.scene, hit, ray, s.active & s.hidden)
         tracked = self._tracked(s, source, hit.t)
         if tracked is not None and free is not None:
             hit.t = dr.select(tracked.collision < dr.inf, dr.inf, hit.t)

@@ -71,10 +71,10 @@ class AdaptivePath(EndsInMap):
     Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
     settings: AdaptiveSettings
     spectral: ClassVar[bool] = True
-    one_way = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. With ``maps``, a pilot measures the number of photons of a light path."""
+        self.one_way = not self.settings.maps
         super().prepare(problem, seed)
         o = self.settings
         if o.maps and self.map is not None:

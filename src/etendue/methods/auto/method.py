@@ -34,7 +34,7 @@ import numpy as np
 
 from etendue.core import Carrying, CheckpointError, Measurement, Result, SampleSource, State, logger, setting
 from etendue.film import COMPONENTS
-from etendue.scene import LightTable, Problem, materials, one_way
+from etendue.scene import LightTable, Problem, materials, one_way, refuse_one_way
 from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
 from .. import radius as radii
@@ -134,7 +134,11 @@ class Auto(Carrying, ImageMethod):
         self._seed = seed
         self._vcm: Vcm | None = None
         self._vcm_state: State = {}
-        self._choice = "path" if one_way(problem.scene) is not None else self.settings.choice
+        self._choice = self.settings.choice
+        if one_way(problem.scene) is not None:
+            if self._choice in FIXED and self._choice != "path":
+                refuse_one_way(problem.scene, f"choice={self._choice}")
+            self._choice = "path"
         self._counts = FIXED.get(self._choice, LEARNER)
         self._learned = Learned.none()
         self._trial = Trial.none()

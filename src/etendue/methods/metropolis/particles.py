@@ -42,7 +42,7 @@ from etendue.core import (
 )
 from etendue.integration import ChainDiagnosis, diagnose
 from etendue.particles import Particles, Rows, Surfaces, SurfaceTable, columns_of
-from etendue.scene import LightTable, Problem, require_rgb
+from etendue.scene import LightTable, Problem, refuse_one_way, require_rgb
 from etendue.transport import scatter_light, scatter_light_uniform
 
 from .lightpaths import Independent, LightPaths, PathNumbers
@@ -154,6 +154,7 @@ class MetropolisParticles(Carrying, Method):
                 "memory or for 32-bit numbers; lower steps (more passes do the same) or chains"
             )
         require_rgb("particles")
+        refuse_one_way(problem.scene, "the tracing of particles")
         self.problem, self.scene = problem, problem.scene
         proposal = scatter_light if o.bsdf_sampling else scatter_light_uniform
         self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces, proposal)

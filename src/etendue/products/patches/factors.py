@@ -51,6 +51,8 @@ from .base import PatchProduct
 
 #: Name of the digest of patches in the metadata of rows.
 _PATCHES = "patches"
+#: Metadata that each zone of a building has of its own.
+_OF_ZONE = ("estimator", "seed", "bundles", "rays")
 #: Formats that say which rows are known.
 _OF_ROWS = (".npz", ".nc")
 #: Bundles for each patch of the sky, at least, unless a budget is given; rounded up to a power of two.
@@ -179,6 +181,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             groups=groups,
             segments=segments,
             bundles=bundles,
+            metadata=known,
             stopped_by=str(run.stopped_by),
             elapsed=run.elapsed,
         )
@@ -195,17 +198,17 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         begin, how = time.perf_counter(), "exact" if self.rays is None else "rays"
         factors, correction = self._corrected(self._computed(problem.patches, tell))
         elapsed, writing = time.perf_counter() - begin, Writing()
-        known = self._asked
+        known = about(problem.source, estimator=how, **self._asked)
         if self.rays is not None:
             known |= {"rays": self.rays, "seed": self.seed, _PATCHES: problem.fingerprint}
-        emissivity = 1 - problem.patches.reflectance[:, 0]
-        groups = self._write(writing, emissivity, factors, about(problem.source, estimator=how, **known))
+        groups = self._write(writing, 1 - problem.patches.reflectance[:, 0], factors, known)
         writing.finish()
         return FormFactorResult(
             patches=problem.patches,
             factors=factors,
             correction=correction,
             groups=groups,
+            metadata=known,
             stopped_by=how,
             elapsed=elapsed,
         )
@@ -221,7 +224,8 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             found[name] = of_zone(part)
             parts.append((found[name].factors, ours))
         factors = joined_zones(patches, parts)
-        known = about(problem.source, estimator=self.estimator, zones=list(names), **self._asked, **self._outside)
+        how = {name: {k: v for k, v in made.metadata.items() if k in _OF_ZONE} for name, made in found.items()}
+        known = about(problem.source, zones=how, **self._asked, **self._outside)
         groups = self._write(writing, 1 - patches.reflectance[:, 0], factors, known)
         writing.finish()
         return FormFactorResult(
@@ -229,6 +233,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
             factors=factors,
             groups=groups,
             zones=found,
+            metadata=known,
             bundles=max(made.bundles for made in found.values()),
             stopped_by=next((made.stopped_by for made in found.values() if made.stopped_by != "exact"), "exact"),
             elapsed=time.perf_counter() - begin,

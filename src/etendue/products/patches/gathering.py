@@ -17,7 +17,7 @@ from etendue.methods import ImageMethod, ImageSettings, Path
 from etendue.radiosity import RadiosityError, Solution, check_colours, irradiance_on, radiosity_on
 from etendue.scene import Problem, check, described_sensor, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues, check_place, solution_map
-from etendue.transport import CameraSampler
+from etendue.transport import CameraSampler, past_lamps
 
 #: Suffixes of pictures and their meaning.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
@@ -79,7 +79,7 @@ def picture(
     surfaces = PatchSurfaces(solution.patches)
     method: ImageMethod
     if gather:
-        method = Path(Path.Settings.from_mapping({"map_after": 1}))
+        method = Path(Path.Settings.from_mapping({"map_after": 1, "hide_emitters": problem.hide_emitters}))
         method.map = solution_map(solution, smooth, problem.space)
     else:
         on = irradiance_on if irradiance else radiosity_on
@@ -136,11 +136,15 @@ class _Seen(ImageMethod):
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, weight, _ = self.camera.primary(lanes // samples, source)
-        si = self.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+        found = self.scene.ray_intersect_preliminary(ray, coherent=True)
+        if self.problem.hide_emitters:
+            found = past_lamps(self.scene, found, ray)
+        si = found.compute_surface_interaction(ray, mi.RayFlags.Minimal)
         hit, n = si.is_valid(), _towards(si, ray.d)
         dr.eval(si.p, n, hit, weight)
         value = self._values.at(self._surfaces.find(si.p, n, hit, self.problem.space)) * self._factor
-        image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)), seed, iteration)
+        sky = mi.Color3f(0.0) if self.problem.hide_emitters else mi.Color3f(*self._sky)
+        image = self.image(weight * dr.select(hit, value, sky), seed, iteration)
         count = float(len(lanes))
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
 

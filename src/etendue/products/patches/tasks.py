@@ -11,7 +11,7 @@ import numpy as np
 
 from etendue.core import Method, OptionError, Settings, logger
 from etendue.engine import Job, Task, silent
-from etendue.radiosity import SOLVERS, GroupSettings, LineCasting, PartSource, PatchSource
+from etendue.radiosity import GROUPINGS, SOLVERS, GroupSettings, LineCasting, PartSource, PatchSource
 from etendue.surfaces import Patches, may_have_zones, zone_names
 
 from ..registry import FACTORS, SOLUTIONS, budget_of, chosen, current, find
@@ -162,11 +162,16 @@ class FactorRun(PatchRun):
             raise OptionError(f"a checkpoint is of one zone: give zone, one of {', '.join(zones)}")
         if self.rows:
             raise OptionError("rows are those of files, and zones are apart anyway: leave out rows, or give zone")
+        if self.walls or (self.objects is not None and self.objects not in GROUPINGS):
+            raise OptionError(
+                f"objects by an array and walls by names are those of one zone: read one of {', '.join(zones)} "
+                "(--zone, zone= of read_patches)"
+            )
         limits = dict(self.limits)
         if limits.get("seconds") is not None:
             limits["seconds"] /= len(zones)
-        own: dict[str, Any] = {"limits": limits, "max_area": None, "mesh": {}, "outputs": (), "tell": silent}
-        own["checkpoint_beside"] = None
+        own: dict[str, Any] = {"limits": limits, "max_area": None, "mesh": {}, "tell": silent}
+        own |= {"groups": False, "outputs": (), "checkpoint_beside": None}
 
         def of_zone(patches: Patches) -> FormFactorResult:
             task = replace(self, source=patches, **own).task()

@@ -17,10 +17,12 @@ _SAME_AREA = 1e-9
 
 
 def known_rows(factors: FormFactors) -> NDArray[np.bool_]:
-    """(n,) rows that lines, rays or integrals have found: all but those without any rays beside others with rays, and
-    those of empty patches."""
+    """(n,) rows that lines, rays or integrals have found: all but those of empty patches, and those without rays and
+    form factors beside others with rays. Rows of integrals have no rays, but form factors."""
     with_area = factors.areas > 0
-    return with_area & (factors.lines > 0) if np.any(factors.lines > 0) else with_area
+    if not np.any(factors.lines > 0):
+        return with_area
+    return with_area & ((factors.lines > 0) | (factors.row_sums() + factors.dark > 0))
 
 
 def joined_rows(parts: Sequence[FormFactors], names: Sequence[str]) -> FormFactors:

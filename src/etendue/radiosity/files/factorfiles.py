@@ -94,10 +94,14 @@ def _names(factors: FormFactors) -> list[str]:
     return row_names(factors).tolist()
 
 
-def _zones(factors: FormFactors, path: Path) -> Iterator[Zone]:
+def _zone_names(factors: FormFactors, path: Path) -> list[str]:
     """The zones of the rows, or if they have none, one with the name of the file."""
+    return [path.stem] if factors.zone is None else list(dict.fromkeys(factors.zone.tolist()))
+
+
+def _zones(factors: FormFactors, path: Path) -> Iterator[Zone]:
     names, of = row_names(factors), factors.zone
-    for zone in [path.stem] if of is None else dict.fromkeys(of.tolist()):
+    for zone in _zone_names(factors, path):
         ours = np.arange(len(names)) if of is None else np.flatnonzero(of == zone)
         yield Zone(zone, names[ours].tolist(), factors.matrix[ours][:, ours])
 
@@ -164,7 +168,7 @@ def check_factors(path: str | os.PathLike[str], factors: FormFactors) -> None:
             f"'{path}' is for {known.about}, which knows surfaces by names: give each a name of its own, and ask for "
             "factors between groups (--groups, groups=True) if a surface has several faces"
         )
-    known.names(names)
+    known.names([*names, *(_zone_names(factors, Path(path)) if known.about == _ZONED else ())])
     if known.about == _ZONED and factors.zone is not None and "" in factors.zone:
         torn = names[factors.zone.tolist().index("")]
         raise RadiosityError(

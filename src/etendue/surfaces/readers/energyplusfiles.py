@@ -45,7 +45,8 @@ def energyplus_surfaces(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
 
     The group ``zone`` is the enclosure whose surfaces exchange radiation: a space, or a zone without spaces, and those
     that air boundaries join. A wall to another zone of which only one side is in the file has the other one too, as
-    EnergyPlus makes it, named ``iz-`` and its name. Raises :class:`PatchError`."""
+    EnergyPlus makes it, named ``iz-`` and its name. Air boundaries, and windows in them, are left out.
+    Raises :class:`PatchError`."""
     for kind in BY_ANGLES:
         for name in data.get(kind, {}):
             raise PatchError(f"{path}: '{name}' is a {kind}, given by angles: convert it to a :Detailed surface")
@@ -78,16 +79,19 @@ def energyplus_surfaces(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
             outline = placed(corners_of(rows, f"{path}: '{name}'"), name, zone)
             inside = Surface(outline=outline, name=name, where=kind, groups={"zone": enclosures.of(entry)})
             found[_key(name)], beyond[_key(name)] = inside, (entry, zone)
-            if _key(entry.get("outside_boundary_condition")) == "zone":
+            if _key(entry.get("outside_boundary_condition")) == "zone" and not enclosures.is_open(entry):
                 to = enclosures.of({"zone_name": entry.get("outside_boundary_condition_object") or ""})
                 made = Surface(outline=outline[::-1], name=f"iz-{name}", where=kind, groups={"zone": to})
                 others[_key(name)] = made, to
-    windows = []
+    windows, lost = [], []
     for name, entry in data.get(_WINDOWS, {}).items():
         wall = _key(entry["building_surface_name"])
         base = found.get(wall)
         if base is None:
             raise PatchError(f"{path}: the base '{entry['building_surface_name']}' of '{name}' is not in the file")
+        if enclosures.is_open(beyond[wall][0]):
+            lost.append(name)
+            continue
         count = next((k for k in range(4) if entry.get(f"vertex_{k + 1}_x_coordinate") in (None, "")), 4)
         rows = [[entry[f"vertex_{k + 1}_{axis}_coordinate"] for axis in "xyz"] for k in range(count)]
         if float(entry.get("multiplier", 1) or 1) != 1:
@@ -100,6 +104,10 @@ def energyplus_surfaces(path: Path, data: dict[str, Any]) -> Iterator[Surface]:
             window = Surface(outline=corners, name=own, where=_WINDOWS, groups=dict(of.groups))
             of.inside.append(window)
             windows.append(window)
+    if lost:
+        logger.warning(
+            "%s: windows or doors in air boundaries are as open as these, and left out: %s", path, ", ".join(lost)
+        )
     walls = [surface for key, surface in found.items() if not enclosures.is_open(beyond[key][0])]
     every = [*walls, *(surface for surface, _ in others.values()), *windows]
     enclosures.warn(every)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,8 @@ from .surfacefiles import MeshFile
 
 #: The array that numbers the files, and the one whose numbers are those of surfaces, which no two files share.
 FILE, _SURFACES = "file", "surfaces"
+#: Arrays whose groups are zones: surfaces of different ones exchange no light.
+ZONES = ("zone", "room")
 
 
 def joined_files(
@@ -20,9 +23,9 @@ def joined_files(
 ) -> MeshFile:
     """The faces of ``files`` (name, mesh) and of ``obstacles``, which only occlude.
 
-    Arrays are those that all of ``files`` have, and ``"file"``; groups of the same name are one group. Files without
-    emission do not emit. Raises :class:`PatchError` for reflectances that some of the files have and others do not,
-    unless they are given in place of these."""
+    Arrays are those that all of ``files`` have, and ``"file"``; groups of the same name are one group, but zones
+    are apart, as ``file: zone``. Files without emission do not emit. Raises :class:`PatchError` for
+    reflectances that some of the files have and others do not, unless they are given in place of these."""
     meshes = [mesh for _, mesh in files]
     every = [*meshes, *obstacles]
     counts = [int(mesh.rows[-1]) + 1 if len(mesh.rows) else 0 for mesh in every]
@@ -50,6 +53,8 @@ def joined_files(
         for name, array in meshes[0].cells.items()
         if all(name in mesh.cells and mesh.cells[name].shape[1:] == array.shape[1:] for mesh in meshes)
     ]
+    given = [file for file, _ in files]
+    called = [file if given.count(file) == 1 else f"{file} {k}" for k, file in enumerate(given, 1)]
     cells, names = {}, {}
     for name in shared:
         arrays = [mesh.cells[name] for mesh in meshes]
@@ -61,8 +66,10 @@ def joined_files(
             names[name] = known
         elif all(name in mesh.names for mesh in meshes):
             numbers: dict[str, int] = {}
+            twice = _names_of_several(meshes, name) if name in ZONES else ()
             for k, mesh in enumerate(meshes):
                 words = [mesh.names[name].get(int(k), str(int(k))) if k >= 0 else "" for k in arrays[k]]
+                words = [f"{called[k]}: {word}" if word in twice else word for word in words]
                 arrays[k] = np.array([numbers.setdefault(word, len(numbers)) if word else -1 for word in words])
             names[name] = {number: word for word, number in numbers.items()}
         cells[name] = all_rows(arrays)
@@ -82,3 +89,9 @@ def joined_files(
         obstacles=np.concatenate([*hidden, np.arange(first[len(meshes)], first[-1])]),
         own={name: own_values(name) for name in own},
     )
+
+
+def _names_of_several(meshes: Sequence[MeshFile], array: str) -> set[str]:
+    """The names in an array that several files have."""
+    count = Counter(name for mesh in meshes for name in set(mesh.names[array].values()) if name)
+    return {name for name, times in count.items() if times > 1}

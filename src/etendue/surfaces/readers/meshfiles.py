@@ -24,7 +24,7 @@ from ..orienting import orientation, turned
 from ..patches import Patches, warn_of_rounded
 from ..zones import zone_names
 from .buildingfiles import read_building
-from .joining import joined_files
+from .joining import ZONES, joined_files
 from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
 from .radfiles import read_rad
 from .surfacefiles import MeshFile
@@ -32,8 +32,6 @@ from .view3dfiles import read_vs3
 
 Index = NDArray[np.int64]
 
-#: Arrays whose groups are zones: surfaces of different ones exchange no light.
-_ZONES = ("zone", "room")
 #: Supported cell types.
 _FACES = ("triangle", "quad")
 #: Suffixes that trimesh reads and meshio does not.
@@ -102,7 +100,7 @@ def read_patches(
     if more or obstacles:
         hidden = [_read(Path(name)) for name in obstacles]
         mesh = joined_files(files, hidden, is_reflectance_given=reflectance is not None)
-        if lost := [name for name in _ZONES if name in files[0][1].names and name not in mesh.names]:
+        if lost := [name for name in ZONES if name in files[0][1].names and name not in mesh.names]:
             logger.warning(
                 "%s: its %ss are not kept beside a further file that has none: give that as an obstacle (--obstacles), "
                 "or surfaces of all see each other through gaps",
@@ -142,7 +140,7 @@ def read_patches(
         return of_rows if given is None else _means(of_rows, inverse.reshape(-1), areas, len(groups))
 
     zones = None
-    if (array := next((name for name in _ZONES if name in mesh.names), None)) is not None:
+    if (array := next((name for name in ZONES if name in mesh.names), None)) is not None:
         zones = np.array([mesh.names[array].get(int(k), "") for k in cells[array]], dtype=str)
     kelvin = of_patches(temperature, "temperature")
     patches = Patches(
