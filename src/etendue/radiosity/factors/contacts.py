@@ -224,7 +224,7 @@ class _Stacks:
 def refusal(patches: Patches, a: int, b: int, why: str) -> str:
     """A message that names two faces that lie on each other."""
     a, b = patches.numbers[[a, b]]
-    return f"faces {a} and {b} lie on each other {why}: remove one, or cast lines (ABuffer, or without --exact)"
+    return f"faces {a} and {b} lie on each other {why}: remove one, or cast lines (ABuffer, or method lines)"
 
 
 def ring(corners: Array) -> Array:

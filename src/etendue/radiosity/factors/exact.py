@@ -124,7 +124,7 @@ class _Pairs:
         if a >= 0:
             raise RadiosityError(
                 f"faces {self.faces[a]} and {self.faces[b]} see each other between too many others: cast lines "
-                "(ABuffer, or without --exact)"
+                "(ABuffer, or method lines)"
             )
 
 
@@ -138,7 +138,7 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
     if free is not None and need > free:
         raise RadiosityError(
             f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
-            "or without --exact)"
+            "or method lines)"
         )
     contacts = Contacts.of(patches)
     corners, planes, radius = contacts.corners, contacts.planes, patches.sphere[1]
