@@ -81,6 +81,9 @@ def test_a_wall_sees_the_back_of_a_door_on_it(two_sided):
     assert factors.dark[6] == 0
     if two_sided:
         assert factors.matrix[7, 2] == pytest.approx(1, abs=1e-12)
+    else:
+        # Lines see both, and so must rays among them.
+        assert LocalRays(RayScene(patches)).cast(1 << 14).dark.max() < 0.2 / 6
 
 
 def test_rooms_that_share_a_wall_and_thin_plates_do_not_see_each_other():
@@ -113,14 +116,16 @@ def test_local_rays_of_small_boxes_on_a_floor():
 
 def test_where_no_face_is_known_to_be_in_front(caplog):
     sheets = square((0.3, 0.3, 0.5), (0.02, 0, 0), (0, 0.02, 0)), square((0.31, 0.31, 0.5), (0.02, 0, 0), (0, 0.02, 0))
-    patches = Patches(*joined(box((0, 0, 0), (1, 1, 1), inward=True), *sheets), two_sided=np.arange(8) > 5)
-    with pytest.raises(RadiosityError, match="faces 6 and 7 lie on each other and have two sides"):
+    body = box((0.3, 0.3, 0), (0.32, 0.32, 0.02))
+    patches = Patches(*joined(box((0, 0, 0), (1, 1, 1), inward=True), body, *sheets), two_sided=np.arange(14) > 11)
+    with pytest.raises(RadiosityError, match="faces 12 and 13 lie on each other and have two sides"):
         rays(patches)
     assert rays(patches, rows=[0, 1]).row_sums()[:2] == pytest.approx(1)  # none of these rows
     lines = ABuffer(patches, OwenSobol(4), 400).cast(64, warn=False)
     with caplog.at_level(logging.WARNING, logger="etendue"):
-        assert with_local_rays(lines) is lines
-    assert "get no local rays: faces 6 and 7" in caplog.text
+        mixed = with_local_rays(lines)
+    assert "get no local rays: faces 12 and 13" in caplog.text
+    assert mixed.extra[6 + BOTTOM] == 0 and mixed.extra[6 + TOP] > 0
 
 
 def test_rays_warn_of_backs(caplog):

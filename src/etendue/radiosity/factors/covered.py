@@ -20,19 +20,24 @@ class CoveredSides:
     """What rays from ``sides`` meet. Faces in contact are set apart for rays, so that no ray between them would meet
     the other one: where a side is covered, all that a ray sees is the nearest face on it.
 
-    Raises :class:`RadiosityError` as :meth:`Contacts.of` does, if any of the ``patches`` that send rays, by default
-    all, bears a face that lies on another one.
+    patches: those that send rays, by default all. clashing: also what faces cover that clash, such as a door on a wall;
+    lines know nothing of it, and rays among them must not.
+
+    Raises :class:`RadiosityError` as :meth:`Contacts.of` does, if any of these patches bears such a face.
     """
 
-    def __init__(self, scene: RayScene, sides: Sides, patches: Index | None = None) -> None:
+    def __init__(self, scene: RayScene, sides: Sides, patches: Index | None = None, clashing: bool = False) -> None:
         of, count = scene.patches, len(sides.face)
-        touching = np.isin(sides.face, np.unique(of.coincident.pairs))
+        touching = of.coincident.back_to_back[sides.face]
+        if clashing:
+            touching |= np.isin(sides.face, of.coincident.clashing)
         if patches is not None:
             touching &= np.isin(sides.patch, patches)
         self._starts: mi.UInt32 | None = None
         if not touching.any():
             return
         contacts, patch_of = Contacts.of(of), of.sides
+        left_out = set() if clashing else set(map(tuple, of.coincident.clashing.tolist()))
         entries: list[tuple[int, int]] = []
         numbers = np.zeros(count, np.int64)
         fronts = (sides.normals * of.face_normals[sides.face]).sum(axis=1) > 0
@@ -43,6 +48,7 @@ class CoveredSides:
                 known[face, front] = [
                     (other, int(patch_of[other, 0 if contacts.facing_front(face, front, other) else 1]))
                     for other in contacts.covers(face, front)
+                    if (min(face, other), max(face, other)) not in left_out
                 ]
             entries += known[face, front]
             numbers[k] = len(known[face, front])

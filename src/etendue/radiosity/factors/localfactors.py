@@ -54,7 +54,7 @@ def local_form_factors(
         raise RadiosityError(f"a form factor with its error needs at least two rays, not {samples}")
     chosen = np.unique(chosen[~scene.patches.empty[chosen]])
     points, sides = points or OwenSobol(4), Sides.of(scene.patches)
-    source, covered = RaySource(scene, sides), CoveredSides(scene, sides, chosen)
+    source, covered = RaySource(scene, sides), CoveredSides(scene, sides, chosen, clashing=True)
     parts: tuple[list[Any], list[Any]] = [], []
     at_once = max(BATCH // samples, 1)
     for start in range(0, len(chosen), at_once):

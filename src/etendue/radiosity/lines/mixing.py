@@ -146,7 +146,7 @@ def _covered(scene: RayScene, sides: Sides, few: NDArray[np.int64]) -> tuple[Cov
         return CoveredSides(scene, sides, few), few
     except (RadiosityError, BackendError) as error:
         logger.warning("patches on faces that lie on each other get no local rays: %s", error)
-        lying = sides.patch[np.isin(sides.face, scene.patches.coincident.pairs)]
+        lying = sides.patch[scene.patches.coincident.back_to_back[sides.face]]
         few = np.setdiff1d(few, lying)
         return CoveredSides(scene, sides, few), few
 
