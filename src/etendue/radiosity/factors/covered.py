@@ -6,9 +6,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import copied_to_device
+from etendue.core import BackendError, copied_to_device, logger
 from etendue.surfaces import Places, RayScene, Sides
 
+from ..errors import RadiosityError
 from .contacts import Contacts
 from .occluders import Index
 
@@ -80,3 +81,13 @@ class CoveredSides:
 
         state = dr.gather(mi.UInt32, self._starts, places.side), mi.UInt32(found)
         return dr.while_loop(state, lambda entry, _: entry < end, step, label="covers of sides")[1]
+
+
+def covered_lamps(scene: RayScene, sides: Sides) -> CoveredSides:
+    """:class:`CoveredSides` of the ``sides`` that emit; warns if it is not known which face is in front: their light
+    then passes the solids that touch them."""
+    try:
+        return CoveredSides(scene, sides)
+    except (RadiosityError, BackendError) as error:
+        logger.warning("light of emitters that touch other faces may get lost: %s", error)
+        return CoveredSides(scene, sides, np.empty(0, np.int64))

@@ -13,7 +13,7 @@ from etendue.core import Array
 from etendue.points import PointSet
 from etendue.surfaces import BATCH, RayScene, RaySource, Sides, columns, cosine_lanes, pairs_of
 
-from ..factors.covered import CoveredSides
+from ..factors.covered import CoveredSides, covered_lamps
 from .engine import LineEngine
 from .segments import Directed, Pairs
 
@@ -86,7 +86,8 @@ class Emission:
 
     def __init__(self, scene: RayScene, power: Array) -> None:
         self.scene, self.power = scene, power
-        self._source = RaySource(scene, Sides.of(scene.patches).emitting(power.sum(axis=1)))
+        sides = Sides.of(scene.patches).emitting(power.sum(axis=1))
+        self._source, self._covered = RaySource(scene, sides), covered_lamps(scene, sides)
 
     def rays(self, u: Array) -> Rays:
         """A ray for each point ``u`` (k, 4)."""
@@ -101,6 +102,7 @@ class Emission:
         lanes, n = columns(u), len(self.power)
         places = self._source.any(lanes[0], lanes[1])
         found = self.scene.meets(places.origin, places.directions(cosine_lanes(lanes[2], lanes[3])))
+        found = self._covered.meets(places, found)
         pairs = pairs_of(self._source.patch_of(places.side), found)
         return np.stack([np.bincount(pairs[:, 1], column, n + 2) for column in self._carried(pairs[:, 0]).T], axis=1)
 

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device, seed_key, short_repr
 from etendue.points import Independent, OwenSobol, PointSet
-from etendue.surfaces import BATCH, Patches, RayScene, RaySource, Sides, cosine_lanes, pairs_of
+from etendue.surfaces import BATCH, Patches, Places, RayScene, RaySource, Sides, cosine_lanes, pairs_of
 
 from ..errors import RadiosityError
+from ..factors.covered import covered_lamps
 from ..lines.local import Emission
 from ..lines.segments import scatter
 
@@ -183,6 +184,7 @@ class _Lamps:
         strength = power.sum(axis=1)
         lit = sides.emitting(strength)
         self._lamps, self._targets = RaySource(scene, lit), RaySource(scene, sides)
+        self._covered = covered_lamps(scene, lit)
         self._whole, self._colour = lit.edges[-1], power / np.where(strength > 0, strength, 1)[:, None]
         #: Rays of a block: number of rays aimed at each patch, and number of cosine-distributed rays.
         self.each = 1 << int(np.ceil(np.log2(max(_BLOCK / n, 1))))
@@ -231,8 +233,9 @@ class _Lamps:
         places, ways = self._lamps.any(u[0], u[1]), cosine_lanes(u[2], u[3])
         directions = places.directions(ways)
         hit = scene.hit(places.origin, directions)
-        found = scene.patch_of(hit, directions)
-        on_patch = found < self._patches
+        free = self._free(places)
+        found = dr.select(free, scene.patch_of(hit, directions), self._covered.meets(places, self._patches))
+        on_patch = free & (found < self._patches)
         kernel = ways.z * dr.abs(dr.dot(scene.normal_of(hit), directions)) / (dr.pi * hit.t**2)
         aimed_at = on_patch & (dr.gather(mi.Float, self._areas, found, on_patch) * kernel <= _NEAR)
         pairs = pairs_of(self._lamps.patch_of(places.side), dr.select(aimed_at, self._patches + 2, found))
@@ -241,6 +244,10 @@ class _Lamps:
         colour = self._colour[pairs[:, 0]]
         sums = [np.bincount(row, column, count * (n + 3)).reshape(count, n + 3)[:, :-1] for column in colour.T]
         return np.stack(sums, axis=2)
+
+    def _free(self, places: Places) -> mi.Bool:
+        """Whether no other face lies on places of lamps."""
+        return self._covered.meets(places, self._patches + 2) == self._patches + 2
 
     def _aimed(self, turns: list[range], count: int) -> Array:
         """Light of aimed rays, (count, n, c); each ray adds its share A K."""
@@ -262,7 +269,7 @@ class _Lamps:
         square = dr.squared_norm(way)
         way /= dr.maximum(dr.sqrt(square), 1e-30)
         cosines = dr.dot(way, lamp.normal), -dr.dot(way, target.normal)
-        ahead = (cosines[0] > 0) & (cosines[1] > 0)
+        ahead = (cosines[0] > 0) & (cosines[1] > 0) & self._free(lamp)
         hit = scene.hit(lamp.origin, way, ahead)
         seen = ahead & hit.is_valid() & (scene.face_of(hit) == self._targets.face_of(target.side))
         share = dr.gather(mi.Float, self._areas, patch) * cosines[0] * cosines[1] / (dr.pi * square)
