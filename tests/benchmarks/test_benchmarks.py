@@ -177,7 +177,7 @@ def test_the_view_factor_benchmark_measures_lines_and_says_how_to_get_the_others
     view_factors = module("view_factors")
     monkeypatch.setattr(view_factors, "_RUNS", 2)
     monkeypatch.setattr(view_factors, "_BUNDLES", 256)
-    record = view_factors.measure([4], 256, 4000, None, None)
+    record = view_factors.measure([4], 256, 4000, 1e-3, None, None)
     assert [row[0] for row in record.rows] == ["lines", "lines, cold", "integrals"]
     for row in record.rows:
         columns = dict(zip(record.columns, row, strict=True))
