@@ -168,8 +168,8 @@ def test_the_radiosity_benchmark_counts_and_solves():
 def test_the_benchmark_of_cities_compares_lines_and_integrals():
     record = module("cities").measure([1], 256, 1e-3)
     lines, integrals = (dict(zip(record.columns, row, strict=True)) for row in record.rows)
-    assert (lines["facets"], lines[""], integrals[""]) == ("24", "lines", "integrals")
-    assert 0 < float(lines["sky error"]) < 0.03 and 0 < float(integrals["sky error"]) < 0.01
+    assert (lines["facets"], lines[""], integrals[""]) == ("24", "256 bundles of 4", "integrals")
+    assert 0 < float(lines["sky error"]) < 0.1 and 0 < float(integrals["sky error"]) < 0.01
 
 
 @pytest.mark.slow
