@@ -53,9 +53,19 @@ def warning_console() -> Console:
     return Console(stderr=True, highlight=False)
 
 
+class _Output(Console):
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError  # by itself the console would end the process, with status 1
+
+
+def output_console() -> Console:
+    """The console of a command's output: standard output."""
+    return _Output(highlight=False)
+
+
 def say(text: str) -> None:
     """Print a line of a command's output on standard output, without wrapping."""
-    Console(highlight=False).print(text, markup=False, soft_wrap=True)
+    output_console().print(text, markup=False, soft_wrap=True)
 
 
 def note(console: Console, text: str, style: str | None = None) -> None:

@@ -27,6 +27,7 @@ from .console import (
     be_quiet,
     error_console,
     note,
+    output_console,
     print_error,
     remember_arguments,
     say,
@@ -466,11 +467,9 @@ def doctor(
     debug: opt.Debug = False,
 ) -> int:
     """Report what is installed, what is wrong and how to fix it."""
-    from rich.console import Console
-
     from .inspection.doctor import run_doctor
 
-    return run_doctor(Console(), report)
+    return run_doctor(output_console(), report)
 
 
 if __name__ == "__main__":

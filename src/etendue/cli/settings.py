@@ -10,6 +10,7 @@ from typer.core import TyperCommand
 
 from etendue.core import OptionError, suggest
 
+from .console import output_console
 from .options import parse_pairs
 
 #: Classes of settings by method; a function, since they are imported when they are needed.
@@ -110,7 +111,6 @@ def is_source(word: str) -> bool:
 
 
 def _show_settings(methods: Mapping[str, Any], words: list[str], named: str | None) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.panel import Panel
     from rich.table import Table
@@ -125,4 +125,4 @@ def _show_settings(methods: Mapping[str, Any], words: list[str], named: str | No
             option = f"--{name.replace('_', '-')}"
             table.add_row(f"[bold cyan]{option}", "" if kind == "bool" else escape(kind), escape(doc + shown))
     title = f"Settings of {named}" if named in methods else "Settings of all methods; -m NAME -h shows those of one"
-    Console(highlight=False).print(Panel(table, title=title, title_align="left", border_style="dim"))
+    output_console().print(Panel(table, title=title, title_align="left", border_style="dim"))

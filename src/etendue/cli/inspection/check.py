@@ -14,7 +14,7 @@ from rich.table import Table
 from etendue.conformance import Finding, Report, check
 from etendue.core import format_seconds
 
-from ..console import say
+from ..console import output_console, say
 
 #: Further variants for the test of ray casting, if the scene has triangles.
 _VARIANTS = ("scalar_rgb",)
@@ -27,7 +27,7 @@ def show_check(scene: Any, *, quick: bool, as_json: bool, **options: Any) -> int
     if as_json:
         say(json.dumps(report.to_dict(), indent=2, ensure_ascii=False))
     else:
-        render(report, Console(highlight=False))
+        render(report, output_console())
     return 0 if report.ok else 1
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -20,7 +19,7 @@ from etendue.products import current, find, limits_of
 from etendue.scene import is_model
 from etendue.surfaces import diagnose, is_mesh_file, read_patches, zone_names
 
-from ..console import say
+from ..console import output_console, say
 
 #: Shapes that are listed, those with most particles.
 _LISTED = 20
@@ -160,7 +159,7 @@ def _show_particles(known: ParticleFile, as_json: bool) -> int:
         area, own = shape["area"], shape["particles"]
         density = f"{own / area:.4g}" if area else ""
         shapes.add_row(str(shape["index"]), escape(shape["name"]), str(own), f"{own / count:.2%}", density)
-    Console(highlight=False).print("", shapes)
+    output_console().print("", shapes)
     return 0
 
 
@@ -203,4 +202,4 @@ def _print_rows(rows: list[tuple[str, str]]) -> None:
     table = Table(box=None, show_header=False, pad_edge=False)
     for row in rows:
         table.add_row(*map(escape, row))
-    Console(highlight=False).print(table)
+    output_console().print(table)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from etendue import film
 from etendue.core import OptionError
 from etendue.lighting import View, glare
 
-from ..console import say
+from ..console import output_console, say
 
 #: Sources that are listed, the strongest.
 _LISTED = 20
@@ -46,7 +45,7 @@ def show_glare(picture: Path, view: View | None, illuminance: float | None, thre
         right, up = np.rad2deg([np.arctan2(-x, z), np.arcsin(y)])
         numbers = f"{source.luminance:.0f} {source.solid_angle:.3g} {right:.1f} {up:.1f} {source.position_index:.2f}"
         table.add_row(*numbers.split(), f"{share:.1%}")
-    Console(highlight=False).print("", table)
+    output_console().print("", table)
     return 0
 
 

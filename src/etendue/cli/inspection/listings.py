@@ -10,14 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from etendue import methods
 from etendue.core import OptionError, bibtex, use_variant
 from etendue.products import FACTORS, PARTICLES, SOLUTIONS, find
 
-from ..console import say
+from ..console import output_console, say
 
 #: Software to cite with every picture.
 _ALWAYS_CITED = ("Mitsuba3", "Jakob2022")
@@ -36,7 +35,7 @@ def show_methods() -> int:
         table.add_column()
         for name in names:
             table.add_row(name, _plain(_first_line(find(name))))
-        Console(highlight=False).print(table, markup=False)
+        output_console().print(table, markup=False)
     say("\nMore, with settings: etendue methods NAME")
     return 0
 
@@ -57,7 +56,7 @@ def show_method(name: str) -> int:
     for setting, kind, default, doc in method.Settings.describe():
         shown = str(default).lower() if isinstance(default, bool) else str(default)
         table.add_row(setting, kind.replace("|", " | "), shown, doc)
-    Console(highlight=False).print(table, markup=False)
+    output_console().print(table, markup=False)
     if method.citations:
         say(f"\nPapers (etendue cite {name}): {', '.join(method.citations)}")
     return 0
@@ -72,7 +71,7 @@ def show_scenes() -> int:
     table.add_column()
     for name, scene in bundled().items():
         table.add_row(name, scene.description)
-    Console(highlight=False).print(table)
+    output_console().print(table)
     say("\nAll are built by code and have the licence of the library (BSD 3-clause).")
     say("As XML for Mitsuba: etendue scenes NAME -o FILE")
     return 0

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 
 from etendue.core import OptionError
@@ -26,7 +25,7 @@ from etendue.points import (
     star_discrepancy_bounds,
 )
 
-from ..console import say
+from ..console import output_console, say
 
 #: Default numbers of points of a plot or a measure, and of a list.
 _PLOTTED, _LISTED = 1024, 16
@@ -46,7 +45,7 @@ def show_point_sets() -> int:
         what = re.sub(r" ?\[[^]]*\]|``|:\w+:|`|\*\*", "", inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0])
         size = "fixed" if has_size(kind) else "sequence"
         table.add_row(name, most, size, "yes" if kind.is_random else "", " ".join(what.split()))
-    Console(highlight=False).print(table)
+    output_console().print(table)
     say("\nNAME+shift moves a set at random, modulo 1. Its points: etendue points NAME; drawn: --plot FILE.svg")
     return 0
 
@@ -127,4 +126,4 @@ def _show_measures(points: NDArray[np.float64]) -> None:
             table.add_row(f"L2 {kind}", f"{l2_discrepancy(points, kind):.6g}")
     else:
         table.add_row("L2", "not for so many points: it visits every pair")
-    Console(highlight=False).print(table)
+    output_console().print(table)
