@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from etendue.core import OptionError, OutputError
 from etendue.display import CURVES, auto_exposure, encode_png, tonemap, write_png
@@ -118,6 +119,15 @@ def test_png_reads_back_as_the_linear_picture(tmp_path):
     linear = np.random.default_rng(6).random((8, 9, 3))
     write_png(tmp_path / "a.png", tonemap(linear))
     np.testing.assert_allclose(read_image(tmp_path / "a.png"), linear, atol=5e-3)
+
+
+def test_colours_of_a_png_with_alpha_are_not_multiplied_by_it(tmp_path):
+    colour, alpha = np.array([0.2, 0.5, 0.9]), np.array([[[0.0], [0.25]], [[0.5], [1.0]]])
+    made = tonemap(colour * alpha, alpha=alpha)
+    np.testing.assert_array_equal(made[alpha[..., 0] > 0.0][:, :3], np.tile(tonemap(colour[None, None])[0], (3, 1)))
+    np.testing.assert_array_equal(made[..., 3:], np.round(255.0 * alpha))
+    write_png(tmp_path / "a.png", made)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), made)
 
 
 def test_png_refuses_what_it_cannot_hold(tmp_path):

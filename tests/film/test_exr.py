@@ -59,7 +59,9 @@ def test_a_file_for_each_layer_shows_it_as_its_picture(tmp_path):
         assert back.metadata == {**result.metadata, "layer": name}
 
 
-@pytest.mark.parametrize(("beside", "layers"), [("AZ", ["image", "Z"]), ("Z", ["image", "Z"]), ("A", ["image"])])
+@pytest.mark.parametrize(
+    ("beside", "layers"), [("AZ", ["image", "Z", "alpha"]), ("Z", ["image", "Z"]), ("A", ["image", "alpha"])]
+)
 def test_pictures_of_other_programs(tmp_path, beside, layers):
     """Depth beside the colours, without a layer's name: usual for Blender and Arnold."""
     import OpenEXR
@@ -70,7 +72,7 @@ def test_pictures_of_other_programs(tmp_path, beside, layers):
     OpenEXR.File(header, dict(channels)).write(str(tmp_path / "other.exr"))
     found = read_exr(tmp_path / "other.exr").layers
     assert list(found) == layers
-    for layer, names in zip(layers, ["RGB" + "A" * ("A" in beside), "Z"], strict=False):
+    for layer, names in zip(layers, ("RGB", *beside[::-1]), strict=True):
         np.testing.assert_array_equal(found[layer], np.stack([channels[name] for name in names], axis=-1))
     np.testing.assert_array_equal(read_image(tmp_path / "other.exr"), np.stack([channels[n] for n in "RGB"], axis=-1))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from support.running import run
@@ -32,8 +34,7 @@ def test_public_scenes(name, method, scenes_dir):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("switch", SWITCHES)
-@pytest.mark.parametrize("name", RGB_SCENES)
+@pytest.mark.parametrize(("name", "switch"), zip(RGB_SCENES, itertools.cycle(SWITCHES), strict=False))
 def test_bundled_scenes_with_other_switches(name, switch):
     method, settings = SWITCHES[switch]
     # In `gaps` few paths find light.

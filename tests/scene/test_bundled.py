@@ -141,7 +141,7 @@ SLOW_STARTS = {"gaps", "flat", "six-cubes"}
 MEDIA = ("fog", "aquarium", "smoke")
 ROWS = [
     row
-    for row in crossed(FAST_SCENES, methods.table(), 6)
+    for row in crossed(FAST_SCENES, methods.table(), 6, 2)
     if row.values[0] not in SLOW_STARTS or not has_chains(row.values[1])
 ]
 

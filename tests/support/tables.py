@@ -25,10 +25,12 @@ def thinned(rows: Iterable[Any], fast: Sequence[Any]) -> list[Any]:
     ]
 
 
-def crossed(first: Iterable[Any], second: Iterable[Any], every: int) -> list[Any]:
-    """All pairs, of which one in ``every`` of a row and of a column is fast: (first, second) tuples."""
+def crossed(first: Iterable[Any], second: Iterable[Any], every: int, slow: int = 1) -> list[Any]:
+    """(first, second) of all pairs, or of one in ``slow`` of a row and of a column; one in ``every`` is fast."""
+    assert every % slow == 0
     return [
         pytest.param(a, b, marks=() if (i + j) % every == 0 else pytest.mark.slow)
         for i, a in enumerate(first)
         for j, b in enumerate(second)
+        if (i + j) % slow == 0
     ]

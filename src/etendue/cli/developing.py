@@ -111,10 +111,9 @@ def develop(
     if exposure == "auto":  # by the raw picture: a denoiser takes away bright pixels and spreads light into dark ones
         exposure = display.auto_exposure(display.develop(read.layers, components=wanted))
     how = {"from": str(picture), "denoise": denoise, "layers": layers, "radius": radius, "strength": strength}
+    made = {"image": developed} | {name: layer for name, layer in read.layers.items() if name == film.ALPHA}
     for path in outputs:
-        save_result(
-            path, Result({"image": developed}, {**read.metadata, "developed": how}), tone=tone, exposure=exposure
-        )
+        save_result(path, Result(made, {**read.metadata, "developed": how}), tone=tone, exposure=exposure)
         say(str(path))
     return 0
 

@@ -60,8 +60,11 @@ def check_tone(exposure: float | str, curve: str) -> None:
         raise OptionError(f"exposure is a number of stops from -{_MOST_STOPS:g} to {_MOST_STOPS:g}, not {exposure!r}")
 
 
-def tonemap(image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb") -> NDArray[np.uint8]:
-    """``image``, (height, width, 3) linear RGB, as eight-bit sRGB of the same shape.
+def tonemap(
+    image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb", alpha: ArrayLike | None = None
+) -> NDArray[np.uint8]:
+    """``image``, (height, width, 3) linear RGB, as eight-bit sRGB of the same shape; or with a fourth one, ``alpha``
+    (height, width, 1), by which the colours of ``image`` are multiplied and those of the result are not.
 
     ``exposure`` is in stops (+1 doubles), or ``"auto"`` for :func:`auto_exposure`; ``curve`` is a name of
     :data:`CURVES`. NaN and negative values become black, infinite ones white. Raises :class:`OptionError` on an unknown
@@ -70,5 +73,10 @@ def tonemap(image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb") 
     check_tone(exposure, curve)
     stops = auto_exposure(image) if isinstance(exposure, str) else exposure
     x = np.nan_to_num(np.asarray(image, dtype=np.float64), nan=0.0, posinf=_BRIGHTEST, neginf=0.0)
-    x = np.clip(x * 2.0**stops, 0.0, _BRIGHTEST)
-    return np.round(tone_curve(curve)(x) * 255.0).astype(np.uint8)
+    if alpha is not None:
+        covered = np.clip(np.asarray(alpha, dtype=np.float64), 0.0, 1.0)
+        x = np.divide(x, covered, out=np.zeros_like(x), where=covered > 0.0)
+    x = tone_curve(curve)(np.clip(x * 2.0**stops, 0.0, _BRIGHTEST))
+    if alpha is not None:
+        x = np.concatenate([x, covered], axis=2)
+    return np.round(x * 255.0).astype(np.uint8)

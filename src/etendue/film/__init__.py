@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from .fireflies import without_fireflies as without_fireflies
     from .layers import (
         ALBEDO as ALBEDO,
+        ALPHA as ALPHA,
         NORMAL as NORMAL,
         SHAPE as SHAPE,
         is_variance as is_variance,

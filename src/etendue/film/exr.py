@@ -1,9 +1,10 @@
 """Pictures as files: multi-layer OpenEXR with metadata, and reading of reference pictures.
 
-The layer ``image`` is the file's R, G, B, so that every viewer shows the picture; another layer ``name`` has channels
-``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and positions, ``name.Z`` for a
-depth, ``name.Y`` for any other single channel). Metadata are string attributes ``etendue:key``: text unchanged,
-anything else as JSON; attributes of a :mod:`.cryptomatte` have the names that compositors know.
+The layer ``image`` is the file's R, G, B, so that every viewer shows the picture, and ``alpha`` is its A; another
+layer ``name`` has channels ``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and
+positions, ``name.Z`` for a depth, ``name.Y`` for any other single channel). Metadata are string attributes
+``etendue:key``: text unchanged, anything else as JSON; attributes of a :mod:`.cryptomatte` have the names that
+compositors know.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from etendue.core import VERSION, OutputError, Result, SceneError
 
 from .cryptomatte import ATTRIBUTES
+from .layers import ALPHA
 from .output import replacing
 
 _PREFIX = "etendue:"
@@ -84,9 +86,8 @@ def layer_path(path: str | os.PathLike[str], layer: str) -> Path:
 def read_exr(path: str | os.PathLike[str]) -> Result:
     """Read a file of :func:`write_exr`, or any scan-line OpenEXR file, as layers (height, width, channels), float32.
 
-    Channels without a layer name make up ``image``. Channels beside R, G, B and A in it, such as Z, are layers of their
-    own. Raises :class:`SceneError` if the file is missing or not
-    OpenEXR.
+    Channels without a layer name make up ``image``. A beside R, G and B is the layer ``alpha``, and others, such as Z,
+    are layers of their own. Raises :class:`SceneError` if the file is missing or not OpenEXR.
     """
     import OpenEXR
 
@@ -105,6 +106,8 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
         layer, _, suffix = name.rpartition(".")
         grouped.setdefault(layer or "image", {})[suffix] = pixels
     layers = {}
+    if "A" in (colours := grouped.get("image", {})) and colours.keys() > set("RGB"):
+        grouped[ALPHA] = {"A": colours.pop("A")}
     for layer in sorted(grouped, key=lambda name: (name != "image", name)):
         members = grouped[layer]
         order = (
@@ -150,6 +153,8 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 def channel_names(layer: str, count: int, path: str | os.PathLike[str] = "the picture") -> list[str]:
     """Names of the ``count`` channels of a layer. Raises :class:`OutputError` unless there are 1, 3 or 4."""
+    if layer == ALPHA and count == 1:
+        return ["A"]
     if count == 1:
         suffixes = "Z" if layer in _DEPTH_LAYERS else "Y"
     elif count == 3:

@@ -11,6 +11,8 @@ NORMAL: Final = ("seen_normal", "normal", "normals", "sh_normal", "nn", "sn")
 VARIANCE: Final = "variance"
 #: Numbers of the first surfaces' shapes.
 SHAPE: Final = ("shape", "shapes", "shape_id")
+#: Share of a pixel that is covered, by which a picture is multiplied.
+ALPHA: Final = "alpha"
 
 
 def variance_of(layer: str) -> str:

@@ -46,6 +46,7 @@ from etendue.transport import (
     Visibility,
     Walker,
     component_fields,
+    coverage,
     dimensions as dim,
     seen_shapes,
 )
@@ -147,6 +148,11 @@ class ImageSettings(Settings):
     cryptomatte: bool = setting(
         False, "add a Cryptomatte: ids of the shapes that a pixel shows and how much of it each covers, for compositing"
     )
+    coverage: bool = setting(
+        False,
+        "add how much of a pixel surfaces and media cover, as the alpha of EXR and PNG files; an environment covers "
+        "all of it unless hide_emitters is on; always on if the film of the scene has an alpha channel",
+    )
     for_denoising: bool = setting(
         False,
         "render what denoisers need: turns on aovs, components (unless split_layers is on) and "
@@ -201,8 +207,8 @@ class ImageMethod(Method):
     one_place = False
     #: The method for a scene whose lamps are all switched off, if it is another one.
     in_the_dark: ClassVar[type[ImageMethod] | None] = None
-    #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
-    _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+    #: Layers that no pass changes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
+    _still: tuple[dict[str, Any], dict[str, Any]] = {}, {}
     #: Participating media that the method renders: "absorbing", "scattering" (both kinds), or None.
     media: ClassVar[str | None] = "absorbing"
     #: Whether the method renders hair, by camera paths alone: see :func:`etendue.scene.one_way`.
@@ -260,7 +266,10 @@ class ImageMethod(Method):
         self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
-        self._shapes = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
+        self._still = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
+        if self.settings.coverage or mi.has_flag(problem.sensor.film().flags(), mi.FilmFlags.Alpha):
+            self.take_wavelengths(0, seed)
+            self._still[0]["alpha"] = coverage(self.camera, self.visibility)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def _check_media(self, problem: Problem) -> None:
@@ -352,7 +361,7 @@ class ImageMethod(Method):
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = seen({name: measurement.mean(name).astype(np.float32) for name in names})
         metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()} | self.notes
-        layers, metadata = layers | self._shapes[0], metadata | self._shapes[1]
+        layers, metadata = layers | self._still[0], metadata | self._still[1]
         if getattr(self.settings, "reweight", False):
             reach = 1 if self.camera.independent else self.camera.filter.reach
             layers, metadata["fireflies"] = reweighted(layers, measurement, reach)

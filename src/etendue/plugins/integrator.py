@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Method, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import Budget, RunError, Runner, RunResult
-from etendue.film import COMPONENTS, LONGER, PixelFilter, Technique, is_variance
+from etendue.film import COMPONENTS, LONGER, Technique, is_variance
 from etendue.methods import ImageMethod
 from etendue.scene import Problem
-from etendue.transport import past_lamps
 
 from .prepared import Prepared
 
@@ -35,9 +34,6 @@ _SEEN_CHANNELS = {
     "seen_albedo": ("seen_albedo.R", "seen_albedo.G", "seen_albedo.B"),
     "seen_normal": ("seen_normal.X", "seen_normal.Y", "seen_normal.Z"),
 }
-#: Rays per pixel in one part of the coverage estimate for alpha channels, and the number of parts.
-_ALPHA_RAYS = 8
-_ALPHA_PARTS = 4
 
 
 def integrator_class(method: type[ImageMethod]) -> type:
@@ -102,7 +98,7 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
                     layers = run.result.layers
                 warn_of_nonfinite(run.measurement)
                 self._layers = _requested(self.options, layers)
-                _fill(film, problem, layers, self._layers)
+                _fill(film, layers, self._layers)
                 if not develop:
                     return mi.TensorXf()
                 image = film.develop()
@@ -209,7 +205,7 @@ def _channels(layers: Iterable[str]) -> list[str]:
     ]
 
 
-def _fill(film: mi.Film, problem: Problem, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:
+def _fill(film: mi.Film, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:
     """Copy the picture and the ``extra`` layers to the film, for ``film.develop()``, ``film.bitmap()`` and
     ``film.write()``."""
     import mitsuba as mi
@@ -217,46 +213,9 @@ def _fill(film: mi.Film, problem: Problem, layers: dict[str, NDArray[np.float32]
     image = layers["image"]
     channels = [image]
     if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
-        channels.append(_coverage(problem))
+        channels.append(layers["alpha"])
     channels.append(np.ones((*image.shape[:2], 1), np.float32))  # the film divides by this weight
     channels += [layers[name] for name in extra]
     film.prepare(_channels(extra))
     tensor = mi.TensorXf(np.concatenate(channels, -1, dtype=np.float32))
     film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))
-
-
-def _coverage(problem: Problem) -> NDArray[np.float32]:
-    """Coverage of each pixel, for alpha: 1 everywhere if the camera sees an environment, as in Mitsuba's 'path'."""
-    import drjit as dr
-    import mitsuba as mi
-
-    width, height = problem.size
-    if problem.scene.environment() is not None and not problem.hide_emitters:
-        return np.ones((height, width, 1), np.float32)
-    reconstruction = PixelFilter(problem.sensor.film().rfilter(), width, height)
-    covered = mi.Float(0.0)
-    for part in range(_ALPHA_PARTS):  # in parts, to limit memory
-        first, count = dr.opaque(mi.UInt32, part * _ALPHA_RAYS), _ALPHA_RAYS
-        lanes = dr.arange(mi.UInt32, width * height * count)
-        pixel = lanes // count
-        place = _alpha_places(first + (lanes - pixel * count))
-        position = (mi.Point2f(pixel % width, pixel // width) + place) / mi.Point2f(width, height)
-        ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
-        seen = problem.scene.ray_intersect_preliminary(ray)
-        if problem.hide_emitters:
-            seen = past_lamps(problem.scene, seen, ray)
-        hit = dr.select(seen.is_valid(), mi.Float(1.0), 0.0)
-        places = _alpha_places(first + dr.arange(mi.UInt32, count))
-        dr.eval(hit, places)
-        covered += reconstruction.spread(hit, places.x, places.y)
-    return np.array(covered / (_ALPHA_PARTS * _ALPHA_RAYS), np.float32).reshape(height, width, 1)
-
-
-def _alpha_places(number: mi.UInt32) -> mi.Point2f:
-    """Offsets of rays in their pixels: the Kronecker sequence of the plastic number, which is uniform along edges of
-    any direction, unlike a grid."""
-    import drjit as dr
-    import mitsuba as mi
-
-    place = mi.Point2f(0.5 + mi.Float(number) * 0.7548777, 0.5 + mi.Float(number) * 0.5698403)
-    return place - dr.floor(place)

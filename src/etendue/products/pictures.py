@@ -242,7 +242,7 @@ def save_result(
     elif path.suffix.lower() == ".exr":
         film.write_exr(path, result)
     else:
-        display.write_png(path, display.tonemap(result.image, exposure, tone))
+        display.write_png(path, display.tonemap(result.image, exposure, tone, result.layers.get(film.ALPHA)))
 
 
 def check_picture(path: Path) -> str:

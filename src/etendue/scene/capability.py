@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .changes.transforms import fault, mirrors, misshapen
-from .graph import as_array, below, contents, describe, plugin_name, shapes
+from .graph import as_array, below, contents, describe, plugin_name, shapes, without_literals
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
 from .media import is_constant, media_of, values_of, volume_of
@@ -62,6 +62,7 @@ def check(scene: mi.Scene, sensor: mi.Sensor, lit: bool = True) -> None:
     is a :class:`SceneError`. Raises :class:`BackendError` under a Mitsuba variant that is not supported.
     """
     check_variant(scene.variant_name())
+    without_literals(scene)
     _check_sensor(sensor)
     every_shape = shapes(scene)
     if not every_shape:

@@ -22,7 +22,7 @@ from .capability import check as check_scene, check_light
 from .changes.transforms import settle_transforms
 from .curves import extend_curves
 from .graph import name as element_name
-from .lamps.environments import instantiated
+from .instantiating import instantiated
 from .lamps.placement import lamps_in_surfaces, remarks_on, warn_of_lamps
 from .models.gltf import description
 from .models.reading import SUFFIXES, is_model, model

@@ -14,7 +14,7 @@ from etendue.core import Array, logger
 
 from .builtin.table import BundledScene
 from .graph import below, contents, describe, plugin_name
-from .lamps.environments import instantiated
+from .instantiating import instantiated
 from .parsing import MESH_PLUGINS, merge_meshes, nodes_below, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
 

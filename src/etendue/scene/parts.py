@@ -12,7 +12,7 @@ import numpy as np
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
 from .changes.transforms import settle_transforms
-from .lamps.environments import instantiated
+from .instantiating import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
 from .parsing import keep_shapes, name_shapes, nodes_below, read_properties, take_integrator
 from .portables import PortableScene

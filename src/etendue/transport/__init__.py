@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         SplatPlace as SplatPlace,
         Splats as Splats,
     )
+    from .coverage import coverage as coverage
     from .direct import DirectWeights as DirectWeights
     from .emission import (
         DirectSample as DirectSample,

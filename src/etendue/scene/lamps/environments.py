@@ -1,4 +1,4 @@
-"""Environment maps that are lit at a pole only, and the construction of a parsed scene that sees to them, and to skies.
+"""Environment maps that are lit at a pole only.
 
 Mitsuba samples an environment map by its values times the sine of the polar angle, both interpolated between texels. In
 the first and in the last row the sine is zero: beside dark texels, their light has no density, or hardly any. Rows
@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from etendue.core import threads_for_files
-
-from ..curves import extend_curves
 from ..graph import plugin_name
-from ..parsing import read_properties
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -24,23 +20,10 @@ if TYPE_CHECKING:
 _GOOD, _POSSIBLE = 4.0, 1e4
 
 
-def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> mi.Scene:
-    """The scene of a parsed description. Environment maps that Mitsuba would not sample well get more rows, and the
-    emitters ``sky`` the sphere around the scene, except those that are objects of the caller; curves become safe."""
-    import mitsuba as mi
-
-    given = [value for value in read_properties(state.root.props).values() if isinstance(value, mi.Emitter)]
-    with threads_for_files():
-        scene = mi.parser.instantiate(config, state)
-    for emitter in scene.emitters():
-        if emitter in given:
-            continue
-        if plugin_name(emitter) == "envmap" and _steepness(emitter) > _GOOD:
-            _double(emitter)
-        if plugin_name(emitter) == "sky":
-            emitter.surround(scene.bbox())
-    extend_curves(scene)
-    return scene
+def light_poles(emitter: mi.Emitter) -> None:
+    """Give an environment map that Mitsuba would not sample well more rows."""
+    if plugin_name(emitter) == "envmap" and _steepness(emitter) > _GOOD:
+        _double(emitter)
 
 
 def is_unsampled(emitter: mi.Emitter) -> bool:
