@@ -156,12 +156,10 @@ def _quantised(probabilities: Array) -> NDArray[np.uint16]:
 
 
 class ConnectionTraining(Worth):
-    """Contributions of connections, while camera paths are traced. Parameters: see :class:`Worth`; nothing is added if
-    ``unit`` is 0."""
+    """Contributions of connections, while camera paths are traced. Parameters: see :class:`Worth`."""
 
     def __init__(self, unit: float, levels: Array, width: int) -> None:
         super().__init__(unit, levels, width)
-        self.learns = unit > 0.0  #: whether anything is added
         self.count = dr.zeros(mi.UInt32, CLASSES**2)
         self.square = dr.zeros(mi.UInt64, CLASSES**2)
 

@@ -144,13 +144,14 @@ class LearnedEmission(Learned):
         super().__init__(size)
 
     def fields(self, recording: bool, first: int) -> dict[str, Any]:
-        """The fields of the walkers of a group of light paths, from number ``first`` on. Unused fields are None, since
-        they would take time."""
+        """The fields of the walkers of a group of light paths, from number ``first`` on. Fields that no later pass
+        uses are None, since they would take time."""
         if first == 0:
             self.drop()  # what a pass has added that is repeated
         training = None
-        if recording and self.trains and self.unit > 0.0:
-            training = EmissionTraining(self.guide, self.unit, self._levels, self._width, self._directions)
+        if self.trains:
+            unit = self.unit if recording else 0.0
+            training = EmissionTraining(self.guide, unit, self._levels, self._width, self._directions)
         departures = self.guide.departures if self.guide.departs else None
         return {"lights": self.guide.lights, "departures": departures, "training": training}
 
@@ -160,7 +161,7 @@ class LearnedEmission(Learned):
 
     def add(self, training: EmissionTraining | None) -> None:
         """Add the contributions of a group of light paths."""
-        if training is not None:
+        if training is not None and training.learns:
             self._own = self._own + training.sums()
 
     def _keep(self) -> None:

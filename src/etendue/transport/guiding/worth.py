@@ -24,7 +24,7 @@ class Worth:
 
     Parameters
     ----------
-    unit: mean contribution to a pixel.
+    unit: mean contribution to a pixel; 0: no contribution counts, in the same kernels.
     levels: (blocks,) brightness of the picture in blocks of :data:`BLOCK` x :data:`BLOCK` pixels, relative to ``unit``.
     width: of the picture, in pixels.
     """
@@ -33,7 +33,8 @@ class Worth:
         worth = 1.0 / (np.maximum(levels, 0.0) + _LEAST_LEVEL)
         self._worth = copied_to_device(mi.Float, worth.astype(np.float32))
         self._width, self._across = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, -(-width // BLOCK))
-        self._unit = dr.opaque(mi.Float, 1.0 / unit if unit > 0.0 else 0.0)
+        self.learns = unit > 0.0
+        self._unit = dr.opaque(mi.Float, 1.0 / unit if self.learns else 0.0)
 
     def worth_of_lane(self, pixel: mi.UInt32, lane: mi.UInt32) -> mi.Float:
         """Factor on the luminance of contributions of camera paths to their pixels. Only some blocks of lanes count,
