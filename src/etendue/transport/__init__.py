@@ -6,6 +6,7 @@ from etendue.core import on_use
 
 if TYPE_CHECKING:
     from . import dimensions as dimensions
+    from .alpha import coverage as coverage
     from .bidirectional.cache import PICK_BLOCK as PICK_BLOCK, LightCache as LightCache
     from .bidirectional.camera_walk import CameraWalk as CameraWalk
     from .bidirectional.light_walk import LightPath as LightPath, LightWalk as LightWalk
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
         SplatPlace as SplatPlace,
         Splats as Splats,
     )
-    from .coverage import coverage as coverage
     from .direct import DirectWeights as DirectWeights
     from .emission import (
         DirectSample as DirectSample,
