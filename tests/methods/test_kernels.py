@@ -5,6 +5,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared
@@ -33,6 +34,43 @@ def test_kernels_read_aligned_memory(name: str) -> None:
     reading = [one for one in kernels if re.search(r"load <\d+ x [^\n]*align 1\b", texts[id(one)])]
     # Those that copy such memory are short, and the same for all scenes.
     assert kernels and not [one["size"] for one in reading if one["operation_count"] > 10]
+
+
+def room_of_nine(seed: int) -> dict[str, Any]:
+    """Nine lamps and nine balls at random."""
+    scene: dict[str, Any] = {"type": "scene", "sensor": scenes.camera(size=(16, 12))}
+    for k, (x, y, size) in enumerate(np.random.default_rng(seed).uniform(0.1, 0.9, (9, 3)).tolist()):
+        place = scenes.transform().translate([2 * x - 1, 1.5, y]).rotate([1, 0, 0], 90).scale(0.3 * size)
+        scene[f"lamp{k}"] = {"type": "rectangle", "to_world": place, "emitter": scenes._area(x, y, size)}
+        ball = {"type": "sphere", "center": [x, size, -y], "radius": 0.1 * size}
+        scene[f"ball{k}"] = ball | {"bsdf": scenes.diffuse(x, y, size)}
+    return scene
+
+
+def launched(least: int = 0) -> set[str]:
+    """Identities of the kernels since the last call that have at least so many operations."""
+    kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
+    return {one["hash"] for one in kernels if one["operation_count"] >= least}
+
+
+def test_no_number_of_a_scene_needs_a_kernel_to_be_read() -> None:
+    """With thousands of shapes, loading would take minutes."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        scenes.load(room_of_nine(1))
+        first = launched()
+        scenes.load(room_of_nine(2))
+        assert first and launched() <= first
+
+
+def test_a_pilot_shares_the_kernels_of_passes_that_learn_emission() -> None:
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        runner = prepared(scenes.load(room_of_nine(1)), "vcm", 1, samples_per_pass=4)
+        pilot = launched(1000)
+        go(runner, 1, 1)
+        walks = launched(1000)
+    assert len(walks) == 2 and walks <= pilot
 
 
 #: Parameters that a user may change in a loaded scene, of lamps, camera, surfaces and materials.
