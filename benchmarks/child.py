@@ -73,6 +73,39 @@ def memory(options: dict[str, Any]) -> dict[str, Any]:
     return outcome | {"peaks": peaks}
 
 
+def scale(options: dict[str, Any]) -> dict[str, Any]:
+    """CPU seconds to load a scene and of passes of a method, or of Mitsuba's ``path``, and peak memory; no kernel is
+    cached."""
+    import os
+    import tempfile
+
+    with tempfile.TemporaryDirectory(prefix="kernels-") as cache:
+        os.environ["DRJIT_CACHE_DIR"] = cache
+        import drjit as dr
+        import mitsuba as mi
+
+        clock = [time.process_time()]
+        if options["method"]:
+            replica, _ = _open(options)
+
+            def step(number: int) -> None:
+                replica.step(number)
+        else:
+            mi.set_variant(options["variant"])
+            scene, integrator = mi.load_file(options["scene"]), mi.load_dict({"type": "path"})
+
+            def step(number: int) -> None:
+                dr.eval(mi.render(scene, integrator=integrator, spp=options["spp"], seed=number))
+
+        clock.append(time.process_time())
+        for number in range(options["passes"]):
+            step(number)
+            dr.sync_thread()
+            clock.append(time.process_time())
+    load, *passes = (after - before for before, after in zip(clock[:-1], clock[1:], strict=True))
+    return {"load": load, "first": passes[0], "passes": passes, "bytes": _peak()}
+
+
 def picture(options: dict[str, Any]) -> dict[str, Any]:
     """A picture after some seconds, written to ``out``; its samples, and what ``auto`` chose."""
     import numpy as np
@@ -117,5 +150,11 @@ def view_factors(options: dict[str, Any]) -> dict[str, Any]:
 if __name__ == "__main__":
     import etendue  # noqa: F401  # before Dr.Jit: it finds the LLVM
 
-    COMMANDS = {"first-pass": first_pass, "memory": memory, "picture": picture, "view-factors": view_factors}
+    COMMANDS = {
+        "first-pass": first_pass,
+        "memory": memory,
+        "scale": scale,
+        "picture": picture,
+        "view-factors": view_factors,
+    }
     print(json.dumps(COMMANDS[sys.argv[1]](json.loads(sys.argv[2]))))

@@ -65,6 +65,7 @@ PROGRAMS = {
                 Benchmark("first-pass", "fresh.first_pass", 1, "The first pass, with and without compiled kernels."),
                 Benchmark("start", "fresh.start", 6, "From the command to the picture, beside Mitsuba's path."),
                 Benchmark("memory", "fresh.memory", 1, "Peak memory of a fresh process."),
+                Benchmark("scale", "scale.measure", 6, "A thousand lamps or textures, ten million triangles."),
                 Benchmark("media", "media.measure", 25, "Error in fog and water beside Mitsuba's volpath."),
                 Benchmark("prism", "spectral.prism", 15, "Error in the spectrum of a prism after a given time."),
                 Benchmark("cost-spectral", "spectral.cost", 3, "Seconds of a pass with wavelengths, beside RGB."),
