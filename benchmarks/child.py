@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import resource
 import sys
@@ -102,7 +103,7 @@ def scale(options: dict[str, Any]) -> dict[str, Any]:
             step(number)
             dr.sync_thread()
             clock.append(time.process_time())
-    load, *passes = (after - before for before, after in zip(clock[:-1], clock[1:], strict=True))
+    load, *passes = (after - before for before, after in itertools.pairwise(clock))
     return {"load": load, "first": passes[0], "passes": passes, "bytes": _peak()}
 
 

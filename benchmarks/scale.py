@@ -21,7 +21,8 @@ _PASSES, _SPP, _SIZE = 5, 16, (256, 256)
 _HEAD = f"""<scene version="3.0.0"><integrator type="path"/>
 <sensor type="perspective"><float name="fov" value="50"/>
 <transform name="to_world"><lookat origin="0,-14,9" target="0,0,0" up="0,0,1"/></transform>
-<film type="hdrfilm"><integer name="width" value="{_SIZE[0]}"/><integer name="height" value="{_SIZE[1]}"/></film></sensor>
+<film type="hdrfilm"><integer name="width" value="{_SIZE[0]}"/><integer name="height" value="{_SIZE[1]}"/></film>
+</sensor>
 """
 
 
