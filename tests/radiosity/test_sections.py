@@ -92,6 +92,28 @@ def test_lines_of_the_endless_domain_agree(seed):
     assert np.sqrt((off**2).mean()) < 1.5 * np.sqrt((error**2).mean()) < 2e-3
 
 
+def outline(x, z, width, height):
+    """The outside of a box."""
+    return [(x, z), (x, z + height), (x + width, z + height), (x + width, z), (x, z)]
+
+
+def test_boxes_in_contact_and_rooms_back_to_back():
+    """Two boxes beside each other on the ground, and one on top; the same with lines."""
+    patches = prism([(0, 0), (9, 0)], outline(1, 0, 2, 1), outline(3, 0, 2, 2), outline(1.5, 1, 1, 1))
+    found = exact_form_factors(patches)
+    assert found.dark.max() == 0 and abs(found.row_sums() - 1).max() < 1e-13
+    ground, low, bottom = found.matrix.toarray()[0], found.matrix.toarray()[4], found.matrix.toarray()[8]
+    assert ground[4] == pytest.approx(2 / 9, abs=1e-14) and low[0] == pytest.approx(1, abs=1e-14)
+    assert found.matrix[3, 5] == pytest.approx(1, abs=1e-14)  # sides of both boxes
+    assert bottom[0] == pytest.approx(1, abs=1e-14)
+    cast = form_factors(ABuffer(patches, SpiralPoints(0, 1024), 40000).cast(1024))
+    np.testing.assert_allclose(cast.matrix.toarray(), found.matrix.toarray(), atol=0.01)
+    room = outline(0, 0, 1, 1)[::-1]
+    rooms = exact_form_factors(prism(room, [(x + 1, z) for x, z in room])).matrix.toarray()
+    np.testing.assert_allclose(rooms.sum(axis=1), 1, atol=1e-14)
+    assert rooms[:4, 4:].max() == 0
+
+
 def test_parts_are_strips():
     whole = prism([(0, 1), (0, 0), (3, 0), (3, 1)], length=2.0)
     parts = whole.subdivided(1.0)

@@ -36,6 +36,7 @@ class Section:
     points: Array
     edges: Index
     sides: Index
+    touching: Array
     size: float
     length: float
 
@@ -56,14 +57,16 @@ class Section:
         sides = np.stack([patches.front, patches.back], axis=1)
         middle = (flat.min(axis=(0, 1)) + flat.max(axis=(0, 1))) / 2
         points, edges, of = _pieces((begin - middle) / size, (end - middle) / size)
-        edges, sides = _merged(patches, edges, np.where(sides < 0, n, sides)[of], of)
-        return cls(patches, points, edges, sides, size, patches.period[1])
+        edges, sides, touching = _merged(patches, points, edges, np.where(sides < 0, n, sides)[of], of)
+        return cls(patches, points, edges, sides, touching, size, patches.period[1])
 
     def form_factors(self) -> FormFactors:
         """Without error but rounding, below 1e-10 of the sum of a row."""
         patches, n = self.patches, len(self.patches)
         exchange = self._room()
         self._add(0, len(self.points), exchange)
+        i, j = self.touching[:, :2].astype(np.int64).T
+        np.add.at(exchange, (i, j), self.touching[:, 2])
         both = exchange + exchange.T
         both = np.where(both < _NONE, 0.0, both) * self.size * self.length
         shares = both[:n] / patches.divisors[:, None]
@@ -137,13 +140,14 @@ def _distinct(points: Array) -> Array:
     return points[kept]
 
 
-def _merged(patches: Patches, edges: Index, sides: Index, of: Index) -> tuple[Index, Index]:
-    """One edge in each place, with the sides of all that lie there."""
+def _merged(patches: Patches, points: Array, edges: Index, sides: Index, of: Index) -> tuple[Index, Index, Array]:
+    """One edge in each place, with the sides of all that lie there, and (e, 3) two patches in contact and their length:
+    those that lie on each other between solids, as a box on the ground does."""
     n, turned = len(patches), edges[:, 0] > edges[:, 1]
     edges = np.where(turned[:, None], edges[:, ::-1], edges)
     sides = np.where(turned[:, None], sides[:, ::-1], sides)
     places, which = np.unique(edges, axis=0, return_inverse=True)
-    merged, owner = np.full((len(places), 2), n), np.zeros((len(places), 2), np.int64)
+    merged, owner = np.full((len(places), 2), n), np.full((len(places), 2), -1)
     for k, place in enumerate(which.reshape(-1)):
         for side in range(2):
             if sides[k, side] == n:
@@ -154,4 +158,39 @@ def _merged(patches: Patches, edges: Index, sides: Index, of: Index) -> tuple[In
                     "face the same way: remove one, or cut what it covers"
                 )
             merged[place, side], owner[place, side] = sides[k, side], of[k]
-    return np.ascontiguousarray(places), merged
+    double = (owner >= 0).all(axis=1) & (owner[:, 0] != owner[:, 1])
+    around, touching = _Regions(points, places), []
+    for k in np.flatnonzero(double).tolist():
+        if all(around.is_solid(k, side, merged == n, double) for side in range(2)):
+            touching.append((*merged[k], np.linalg.norm(np.diff(points[places[k]], axis=0))))
+            merged[k] = n
+    return np.ascontiguousarray(places), merged, np.array(touching).reshape(-1, 3)
+
+
+class _Regions:
+    """The regions between edges, of which each edge has one to its left and one to its right."""
+
+    def __init__(self, points: Array, edges: Index) -> None:
+        self._edges = edges
+        self._around: dict[int, list[tuple[float, int]]] = {}
+        for k, (a, b) in enumerate(edges.tolist()):
+            for one, other in ((a, b), (b, a)):
+                x, y = points[other] - points[one]
+                self._around.setdefault(one, []).append((float(np.arctan2(y, x)), k))
+        for found in self._around.values():
+            found.sort()
+
+    def is_solid(self, edge: int, side: int, backs: NDArray[np.bool_], double: NDArray[np.bool_]) -> bool:
+        """Whether the region beside an edge is within a solid: the next edge of its border that is not ``double`` shows
+        its back."""
+        at, start = int(self._edges[edge, 1 - side]), (edge, side)
+        while True:
+            found = self._around[at]
+            place = next(k for k, (_, other) in enumerate(found) if other == edge)
+            edge = found[place - 1][1]  # the next one clockwise
+            side = int(self._edges[edge, 0] != at)
+            at = int(self._edges[edge, 1 - side])
+            if (edge, side) == start:
+                return False
+            if not double[edge]:
+                return bool(backs[edge, side])
