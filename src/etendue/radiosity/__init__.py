@@ -144,6 +144,7 @@ from .hierarchical_multipath.solution import (
 )
 from .lightmaps import lightmap as lightmap
 from .lines.abuffer import ABuffer as ABuffer, Backend as Backend
+from .lines.bundling import Split as Split, split_for as split_for
 from .lines.chained import ChainedRays as ChainedRays
 from .lines.engine import LineEngine as LineEngine
 from .lines.generators import (

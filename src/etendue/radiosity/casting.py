@@ -77,6 +77,7 @@ class CastingSettings(AnySettings):
         1, "independent sequences of lines, whose variance gives the error; with one, an upper estimate", minimum=1
     )
     bundles_per_pass: int = setting(0, "bundles of a pass, 0 for the engine's choice", minimum=0)
+    directions: int = setting(0, "bundles of a spiral, after which another begins; 0 for 1024", minimum=0)
 
 
 class LineCasting(Method):
@@ -132,7 +133,9 @@ class LineCasting(Method):
 
     @property
     def error_cadence(self) -> float:
-        """See ``core.Method``: with replicates an estimate only reads the segments of new passes."""
+        """See ``core.Method``: with replicates an estimate only reads the segments of new passes, for rows none."""
+        if self.goal == "rows":
+            return 0.0
         return 1.0 if self._options.replicates == 1 else 0.1
 
     @property
@@ -354,7 +357,8 @@ class LineCasting(Method):
     def _engine_for(self, patches: Patches) -> LineEngine:
         """An engine of bundles, or of local rays if the scene would need too many lines."""
         if self._options.lines or ABuffer.suits(patches):
-            return ABuffer(patches, SpiralPoints(self._seed), self._options.lines or None)
+            spiral = SpiralPoints(self._seed, self._options.directions or _USUAL)
+            return ABuffer(patches, spiral, self._options.lines or None)
         logger.warning(
             "surfaces are few in a large space, where few lines meet them: local rays are cast from all patches instead"
         )

@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from .orienting import Orientation as Orientation, orientation as orientation
     from .patches import Patches as Patches
     from .patchfiles import check_patch_file as check_patch_file, save_patches as save_patches
-    from .periods import LEAST_SLOPE as LEAST_SLOPE
+    from .periods import LEAST_SLOPE as LEAST_SLOPE, endless_faces as endless_faces
     from .places import PatchSurfaces as PatchSurfaces, Place as Place, SurfaceValues as SurfaceValues
     from .rays.raycasting import STEP as STEP, Hits as Hits, RayScene as RayScene
     from .rays.sides import Sides as Sides, across as across, around as around, cosine_law as cosine_law

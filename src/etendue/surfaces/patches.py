@@ -15,7 +15,7 @@ from etendue.scene import warn_of_steps
 from .coincident import Coincident
 from .errors import PatchError
 from .faces import face_vectors, flat_faces
-from .periods import checked_period
+from .periods import checked_period, endless_faces
 from .subdivision import subdivide
 
 Index = NDArray[np.int64]
@@ -314,8 +314,8 @@ class Patches(InNotebooks):
         """The same surfaces in patches of at most ``max_area``: each larger face is divided into equal parts.
 
         Every resulting face is a patch, and keeps reflectance and emission; ``labels`` and ``face`` are those of the
-        original patches and faces. grouped: the parts stay in their patches instead. Raises :class:`PatchError` for an
-        area that is not positive, and for more faces than memory can hold.
+        original patches and faces. Surfaces without end along y become strips. grouped: the parts stay in their patches
+        instead. Raises :class:`PatchError` for an area that is not positive, and for more faces than memory can hold.
         """
         if not np.isfinite(max_area) or max_area <= 0:
             raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
@@ -325,7 +325,9 @@ class Patches(InNotebooks):
                 f"faces of at most {max_area:g} would be {count:.2g} or more and need {_BYTES * count / 1e9:.3g} GB; "
                 f"{free / 1e9:.1f} GB are free: allow larger ones"
             )
-        vertices, faces, source = subdivide(self.vertices, self.faces, max_area)
+        strips = endless_faces(self.vertices, self.faces, self.period)
+        whole = self.faces if strips is None else strips
+        vertices, faces, source = subdivide(self.vertices, whole, max_area, strips is not None)
         # Empty patches have a face without area, which is left out again.
         empty = np.flatnonzero(self.empty[: self._fronts])
         number = np.concatenate([self.numbers[source], self.face[empty]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, logger
 
@@ -15,6 +16,8 @@ from .errors import PatchError
 LEAST_SLOPE = 1e-4
 #: Lengths that differ by less than this share of a period are equal: rounding in files of single precision.
 _SAME = 1e-5
+#: The same for the two ends of surfaces that go straight on, in sizes of their section.
+_STRAIGHT = 1e-6
 
 
 def checked_period(period: Sequence[float], low: Array, high: Array) -> tuple[float, float] | None:
@@ -41,3 +44,23 @@ def checked_period(period: Sequence[float], low: Array, high: Array) -> tuple[fl
                 *(size, axis, length),
             )
     return (float(lengths[0]), float(lengths[1])) if lengths.any() else None
+
+
+def endless_faces(
+    vertices: Array, faces: NDArray[np.int64], period: tuple[float, float] | None
+) -> NDArray[np.int64] | None:
+    """Faces (f, 4) of surfaces without end along y, each from the first of its two corners at the lower end of the
+    period; ``None`` unless the domain repeats along y only and all faces are rectangles from end to end."""
+    if period is None or period[0] or (faces[:, 2] == faces[:, 3]).any():
+        return None
+    corners = vertices[faces]
+    y = corners[..., 1]
+    is_low, is_high = (np.abs(y - end) <= _SAME * period[1] for end in (y.min(), y.max()))
+    first = np.argmax(is_low & np.roll(is_low, -1, axis=1), axis=1)
+    order = (first[:, None] + np.arange(4)) % 4
+    flat = np.take_along_axis(corners, order[..., None], axis=1)[..., ::2]
+    off = np.abs(flat[:, :2] - flat[:, :1:-1]).max(axis=(1, 2))
+    straight = (
+        (is_low.sum(axis=1) == 2) & (is_high.sum(axis=1) == 2) & (off <= _STRAIGHT * np.ptp(flat, axis=(0, 1)).max())
+    )
+    return np.take_along_axis(faces, order, axis=1) if straight.all() else None

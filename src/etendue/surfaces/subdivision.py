@@ -10,14 +10,16 @@ from etendue.core import Array
 Index = NDArray[np.int64]
 
 
-def subdivide(vertices: Array, faces: Index, max_area: float) -> tuple[Array, Index, Index]:
+def subdivide(vertices: Array, faces: Index, max_area: float, strips: bool = False) -> tuple[Array, Index, Index]:
     """Vertices and faces (f, 4) of at most ``max_area`` each, and the original face of each.
 
     Each side of a face is divided into ``n`` parts, ``n`` as small as the area allows: a triangle becomes ``n^2``
     triangles of equal area, a quadrilateral ``n^2`` quadrilaterals, of equal area if its opposite sides are parallel.
-    Neighbours with different ``n`` have no gap between them, but different vertices on the common edge.
+    Neighbours with different ``n`` have no gap between them, but different vertices on the common edge. strips: only
+    the first and the third side of quadrilaterals are divided.
     """
-    cuts = np.maximum(np.ceil(np.sqrt(_largest_part(vertices[faces]) / max_area) - 1e-9), 1).astype(np.int64)
+    power = 1.0 if strips else 0.5
+    cuts = np.maximum(np.ceil((_largest_part(vertices[faces]) / max_area) ** power - 1e-9), 1).astype(np.int64)
     is_triangle = faces[:, 2] == faces[:, 3]
     all_vertices, all_faces, sources = [vertices], [faces[cuts == 1]], [np.flatnonzero(cuts == 1)]
     offset = len(vertices)
@@ -26,7 +28,7 @@ def subdivide(vertices: Array, faces: Index, max_area: float) -> tuple[Array, In
             rows = np.flatnonzero((cuts == n) & chosen)
             if len(rows) == 0:
                 continue
-            weights, parts = cut(int(n))
+            weights, parts = _quadrilateral(int(n), 1) if strips else cut(int(n))
             all_vertices.append(np.einsum("pk,fkx->fpx", weights, vertices[faces[rows]]).reshape(-1, 3))
             first = offset + len(weights) * np.arange(len(rows))
             all_faces.append((first[:, None, None] + parts).reshape(-1, 4))
@@ -64,9 +66,10 @@ def _triangle(n: int) -> tuple[Array, Index]:
     return weights, np.concatenate(parts)[:, [0, 1, 2, 2]]
 
 
-def _quadrilateral(n: int) -> tuple[Array, Index]:
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-    weights = np.stack([(n - i) * (n - j), i * (n - j), i * j, (n - i) * j], axis=1) / n**2
-    i, j = i[(i < n) & (j < n)], j[(i < n) & (j < n)]
-    corner = i * (n + 1) + j
-    return weights, np.stack([corner, corner + n + 1, corner + n + 2, corner + 1], axis=1)
+def _quadrilateral(n: int, m: int | None = None) -> tuple[Array, Index]:
+    m = m or n
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(m + 1), indexing="ij"))
+    weights = np.stack([(n - i) * (m - j), i * (m - j), i * j, (n - i) * j], axis=1) / (n * m)
+    i, j = i[(i < n) & (j < m)], j[(i < n) & (j < m)]
+    corner = i * (m + 1) + j
+    return weights, np.stack([corner, corner + m + 1, corner + m + 2, corner + 1], axis=1)

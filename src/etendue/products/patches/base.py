@@ -76,7 +76,7 @@ class PatchProduct(Product[R]):
         return _BUDGETS[task.method.counts]
 
     def make_method(self, task: Task, settings: Settings, problem: Any, budget: Budget) -> Method:
-        """See :class:`Product`. Lines of a run to an error are cast as replicates."""
+        """See :class:`Product`."""
         kind: Any = task.method
         if issubclass(kind, LineCasting):
             # The number of bundles is for the size of passes: few make enough for an error.
@@ -86,12 +86,16 @@ class PatchProduct(Product[R]):
         return made
 
     def settings(self, task: Task, problem: Any, budget: Budget) -> Settings:
-        """See :class:`Product`."""
+        """See :class:`Product`. Lines of a run to an error are cast as the product wants them."""
         given = dict(task.settings)
         if budget.error is not None and task.method.name == LineCasting.name:
-            given.setdefault("replicates", REPLICATES)
+            given = {**self._to_error(budget.error**0.5, problem, given), **given}
         made: Settings = task.method.Settings.from_mapping(given)
         return made
+
+    def _to_error(self, error: float, problem: Any, given: dict[str, Any]) -> dict[str, Any]:
+        """Settings of lines to an error, beside those that are ``given``: replicates, whose variance is the error."""
+        return {"replicates": REPLICATES}
 
     def _casting(self, task: Task, kind: Any, settings: Settings, problem: Any, **own: Any) -> LineCasting:
         made: LineCasting = kind(settings, **own)

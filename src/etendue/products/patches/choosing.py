@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
-
 from etendue.core import format_seconds
-from etendue.points import OwenSobol
 from etendue.radiosity import (
     EXACT_TOLERANCE,
     ABuffer,
     RadiosityError,
+    SpiralPoints,
     exact_seconds,
     form_factors,
+    split_for,
     with_local_rays,
 )
 from etendue.surfaces import Patches
@@ -22,8 +21,8 @@ from etendue.surfaces import Patches
 _PATIENCE = 10.0
 #: The least time that is told.
 _LEAST = 0.1
-#: Bundles by which the time of lines is estimated, and how it grows with the inverse of their error.
-_BUNDLES, _POWER = 64, 1.5
+#: Bundles by which the time of lines is estimated.
+_BUNDLES = 32
 
 
 def choose(patches: Patches, error: float | None) -> tuple[bool, str]:
@@ -41,10 +40,16 @@ def choose(patches: Patches, error: float | None) -> tuple[bool, str]:
 
 
 def _seconds_of_lines(patches: Patches, error: float) -> float:
-    """The time of lines to this error of a row, averaged over patches."""
-    ABuffer(patches, OwenSobol(4, seed=0)).cast(1, warn=False)  # loads or compiles
+    """The time of the lines that an error needs, by that of some of their bundles."""
+    split = split_for(patches, error)
+    points = SpiralPoints(0, _BUNDLES if split is None else split.bundles)
+    engine = ABuffer(patches, points, None if split is None else split.lines)
+    engine.cast(1, warn=False)  # loads or compiles
     began = time.perf_counter()
-    segments = with_local_rays(ABuffer(patches, OwenSobol(4, seed=0)).cast(_BUNDLES, warn=False))
-    spent = time.perf_counter() - began
-    rows = float(np.mean(form_factors(segments).row_errors()))
-    return spent * max((rows / error) ** _POWER, 1 / _BUNDLES)
+    lines = engine.cast(_BUNDLES, warn=False)
+    cast = time.perf_counter()
+    rows = form_factors(with_local_rays(lines)).row_errors().mean()
+    counted = time.perf_counter() - cast
+    # Too few surfaces in a large space: rays are cast instead, and their number grows as that of lines.
+    bundles = split.bundles if split is not None else _BUNDLES * float(rows / error) ** 2
+    return (cast - began) * max(bundles, 1) / _BUNDLES + counted

@@ -42,6 +42,7 @@ from etendue.radiosity import (
     read_notes,
     save_form_factors,
     sky_parts,
+    split_for,
 )
 from etendue.surfaces import Patches, RayScene, zone_names, zone_parts
 
@@ -83,6 +84,7 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
     rays: int | None = None  #: of each patch, for form factors by rays
     rows: tuple[str, ...] = ()  #: files whose patches alone send rays
     seed: int = 0  #: of rays
+    tell: Callable[[str], object] = silent  #: receives what is chosen
     #: Computes those of a zone, if there are several; surfaces of different zones see nothing of each other.
     of_zone: Callable[[Patches], FormFactorResult] | None = None
 
@@ -151,6 +153,16 @@ class FormFactorProduct(PatchProduct[FormFactorResult]):
         """See :class:`PatchProduct`; with patches of the sky, some bundles for each."""
         usual = super().default_budget(task, problem)
         return usual if self.sky_patches is None else with_sky_patches(usual, self._sky)
+
+    def _to_error(self, error: float, problem: PatchProblem, given: dict[str, Any]) -> dict[str, Any]:
+        """See :class:`PatchProduct`: the error of rows is known from the number of lines, which are split well instead.
+        Patches of the sky need directions, and replicates are short."""
+        if self.sky_patches is not None or {"lines", "directions", "replicates"} & given.keys():
+            return {}
+        if (split := split_for(problem.patches, error)) is None:
+            return {}
+        self.tell(f"error {error:g}: {split}")
+        return {"lines": split.lines, "directions": split.bundles}
 
     def _corrected(self, factors: FormFactors) -> tuple[FormFactors, Correction | None]:
         if not self._asked:

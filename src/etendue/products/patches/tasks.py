@@ -133,7 +133,9 @@ class FactorRun(PatchRun):
             return self._of_zones(source, zones, FormFactorProduct(estimator=estimator, **asked))
         if method == AUTO:
             method = self._chosen(source)
-        product = FormFactorProduct(**self._common(method), estimator=estimator, **asked, rows=self.rows)
+        product = FormFactorProduct(
+            **self._common(method), estimator=estimator, **asked, rows=self.rows, tell=self.tell
+        )
         if product.up is not None and method != LineCasting.name:
             raise OptionError(f"up and sky_patches are for method {LineCasting.name}, whose lines have directions")
         if method == RAYS:

@@ -22,6 +22,7 @@ from ..lines.engine import warn_of_backs
 from .contacts import Contacts, quadrilaterals, refusal
 from .formfactors import FormFactors, numbers_of
 from .occluders import Index, Occluders, occluders
+from .sections import Section
 
 #: Tolerance of rows, by default.
 EXACT_TOLERANCE = 1e-4
@@ -64,7 +65,14 @@ def exact_form_factors(
     if more pieces of a face are seen between others than there is room for, and for more patches than fit into memory:
     use lines (:class:`ABuffer`) then.
     :class:`etendue.core.BackendError` without Numba.
+
+    Surfaces without end along y, such as those of ``.vs2``, are exact but for rounding: their faces are rectangles from
+    one end to the other of a domain that repeats along y only, and the lines that join segments of its section are
+    integrated in closed form [Orti 1996], which without occlusion is Hottel's rule of crossed strings [Hottel 1954].
+    Other periodic domains are refused.
     """
+    if (section := Section.of(patches)) is not None:
+        return section.form_factors()
     pairs, n = _pairs(patches, tolerance), len(patches)
     exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
     tasks = _tasks(pairs.sides.patch, n)
@@ -91,6 +99,8 @@ def exact_form_factors(
 
 def exact_seconds(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> float:
     """The time that :func:`exact_form_factors` is going to take, from that of some pairs. Raises as it does."""
+    if (section := Section.of(patches)) is not None:
+        return section.seconds()
     pairs, n = _pairs(patches, tolerance), len(patches)
     total = len(pairs.sides.patch)
     exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))

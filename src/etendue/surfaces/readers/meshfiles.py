@@ -28,7 +28,7 @@ from .joining import ZONES, joined_files
 from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
 from .radfiles import read_rad
 from .surfacefiles import MeshFile
-from .view3dfiles import read_vs3
+from .view3dfiles import read_vs2, read_vs3
 
 Index = NDArray[np.int64]
 
@@ -40,6 +40,7 @@ _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 _OWN, _VTK = (".off", ".obj"), (".vtk", ".vtp")
 #: Readers of files of named surfaces.
 _SURFACES = {
+    ".vs2": read_vs2,
     ".vs3": read_vs3,
     ".rad": read_rad,
     ".epjson": read_building,
@@ -84,7 +85,7 @@ def read_patches(
         not inside of rooms (:func:`orientation`); a warning names them.
     zone: of EnergyPlus, or a room of Honeybee: only its patches, without empty ones. Otherwise ``zones`` of the patches
         are their names, if the file has some.
-    periodic: see :class:`Patches`.
+    periodic: see :class:`Patches`. Surfaces of the plane (``.vs2``) go on along y without end anyway.
 
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
     without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
@@ -96,7 +97,7 @@ def read_patches(
     if temperature is not None and emission is not None and (isinstance(emission, str) or np.any(emission)):
         raise PatchError("patches emit by their temperature or have an emission; give one of the two")
     files = [(name.stem, _read(name)) for name in (path, *map(Path, more))]
-    mesh = files[0][1]
+    mesh, hidden = files[0][1], list[MeshFile]()
     if more or obstacles:
         hidden = [_read(Path(name)) for name in obstacles]
         mesh = joined_files(files, hidden, is_reflectance_given=reflectance is not None)
@@ -106,6 +107,7 @@ def read_patches(
                 "or surfaces of all see each other through gaps",
                 *(path, lost[0]),
             )
+    periodic = _period(path, [*(file for _, file in files), *hidden], periodic)
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
     left_out = broken_faces(vertices, faces, str(path), rows=rows)
 
@@ -223,6 +225,20 @@ def is_mesh_file(path: Path) -> bool:
     """Whether a file has the suffix of a mesh that is no model of a scene, such as ``.vtu`` or ``.vs3``."""
     suffix = path.suffix.lower()
     return suffix in _SURFACES or suffix in _VTK or suffix in (".vtu", ".msh", ".dae", ".3mf")
+
+
+def _period(path: Path, meshes: Sequence[MeshFile], given: Sequence[float] | None) -> Sequence[float] | None:
+    """The period that is given, and that of files which repeat their surfaces themselves."""
+    periods = {mesh.period for mesh in meshes}
+    if periods == {None}:
+        return given
+    if len(periods) > 1:
+        raise PatchError(f"{path}: surfaces of a plane (.vs2) and of space cannot be in one run")
+    if given is not None and (len(given) != 2 or given[1]):
+        raise PatchError(f"{path} goes on along y already: give the period LX,0 for a repetition along x")
+    own = meshes[0].period
+    assert own is not None
+    return own if given is None else (given[0], own[1])
 
 
 def _read(path: Path) -> MeshFile:

@@ -27,7 +27,8 @@ class MeshFile:
     A *row* is a face of the file, of which ``faces`` may be parts. points: (v, 3). faces: (f, 4), a triangle repeats
     its last index. rows: (f,). cells: arrays with an entry for each row, by name. names: of such arrays of numbers, the
     names of the numbers. ids: (rows,) the patch of each row, if it is not a patch of its own. obstacles: rows that only
-    occlude. own: values of rows that the format defines, by their names in :class:`Patches`.
+    occlude. own: values of rows that the format defines, by their names in :class:`Patches`. period: of a domain that
+    the format repeats without end, see :class:`Patches`.
     """
 
     points: Array
@@ -38,6 +39,7 @@ class MeshFile:
     ids: Index | None = None
     obstacles: Index = field(default_factory=lambda: np.zeros(0, np.int64))
     own: Mapping[str, Array] = field(default_factory=dict)
+    period: tuple[float, float] | None = None
 
 
 @dataclass(kw_only=True)
