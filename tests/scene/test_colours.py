@@ -18,6 +18,7 @@ XML = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}"/></shape></sc
 
 def test_scenes_with_dispersive_glass_need_wavelengths(tmp_path):
     files = {"glass.xml": XML.format("dispersive"), "plain.xml": XML.format("dielectric")}
+    files["glass film.xml"] = '<scene version="3.0.0"><sensor type="thinlens"><film type="specfilm"/></sensor></scene>'
     files["glass.gltf"] = json.dumps({"extensionsUsed": ["KHR_materials_dispersion"]})
     files["plain.gltf"] = json.dumps({"meshes": []})
     for name, text in files.items():

@@ -144,27 +144,30 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
 
 def colours_of(source: Any) -> str:
     """The colours that a scene needs, for ``core.use_variant``: ``spectral`` if its description names materials that
-    disperse light, else ``rgb``. Never raises: what is wrong with a scene is found when it is loaded."""
+    disperse light or a film of bands of wavelengths, else ``rgb``. Never raises: what is wrong with a scene is found
+    when it is loaded."""
     try:
         scene = locate(source, logger.debug) if isinstance(source, (str, os.PathLike)) else source
         if isinstance(scene, Path) and scene.suffix.lower() in (".gltf", ".glb"):
             is_spectral = "KHR_materials_dispersion" in description(scene).get("extensionsUsed", ())
         elif isinstance(scene, Path):
-            is_spectral = scene.suffix.lower() == ".xml" and bool(_DISPERSES.search(scene.read_text("utf-8", "ignore")))
+            is_spectral = scene.suffix.lower() == ".xml" and bool(_SPECTRAL.search(scene.read_text("utf-8", "ignore")))
         else:
-            is_spectral = scene.is_spectral if isinstance(scene, BundledScene) else _names_dispersion(scene)
+            is_spectral = scene.is_spectral if isinstance(scene, BundledScene) else _names_wavelengths(scene)
     except (SceneError, OSError):
         return "rgb"
     return "spectral" if is_spectral else "rgb"
 
 
-_DISPERSES = re.compile(r"""type\s*=\s*["'](rough)?dispersive["']""")
+_SPECTRAL = re.compile(r"""type\s*=\s*["']((rough)?dispersive|specfilm)["']""")
 
 
-def _names_dispersion(described: Any) -> bool:
+def _names_wavelengths(described: Any) -> bool:
     if not isinstance(described, Mapping):
         return False
-    return described.get("type") in ("dispersive", "roughdispersive") or any(map(_names_dispersion, described.values()))
+    return described.get("type") in ("dispersive", "roughdispersive", "specfilm") or any(
+        map(_names_wavelengths, described.values())
+    )
 
 
 def described(source: Any, tell: Callable[[str], object]) -> Path | BundledScene | Mapping[str, Any]:
