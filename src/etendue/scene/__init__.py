@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         integrator_of as integrator_of,
         load as load,
         locate as locate,
+        use_variant_of as use_variant_of,
     )
     from .media import (
         Media as Media,

@@ -77,11 +77,12 @@ def load(
     needs no emitter. ``change`` (such as :class:`LightEdits`) changes the parsed scene before its objects are built;
     equivalent elements and meshes are then not merged.
 
-    Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
-    :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
+    Sets a Mitsuba variant if none is set: see :func:`use_variant_of`. Raises :class:`SceneError` for a scene that
+    cannot be read or is broken, :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError`
+    for arguments out of range.
     """
 
-    use_variant()
+    use_variant_of(source)
     if size is not None:
         size = checked_size(size)
     if memory is not None and memory <= 0:
@@ -101,9 +102,10 @@ def load(
 def integrator_of(source: Source, parameters: Mapping[str, Any] | None = None) -> str:
     """Plugin name of a scene's integrator, "" if it has none. ``source`` is parsed, but not built.
 
-    Sets a Mitsuba variant if none is set. Errors as :func:`load`, as far as parsing finds them.
+    Sets a Mitsuba variant if none is set: see :func:`use_variant_of`. Errors as :func:`load`, as far as parsing finds
+    them.
     """
-    use_variant()
+    use_variant_of(source)
     if not _is_loaded(source):
         found = described(source, logger.debug)
         return take_integrator(_parse(found, parameters)[-1])[0]
@@ -157,6 +159,14 @@ def colours_of(source: Any) -> str:
     except (SceneError, OSError):
         return "rgb"
     return "spectral" if is_spectral else "rgb"
+
+
+def use_variant_of(source: Any, requested: str | None = None) -> str:
+    """As ``core.use_variant``, with the colours that a scene needs: see :func:`colours_of`."""
+    import mitsuba as mi
+
+    undecided = requested is None and mi.variant() is None
+    return use_variant(requested, colours_of(source) if undecided else "rgb")
 
 
 _SPECTRAL = re.compile(r"""type\s*=\s*["']((rough)?dispersive|specfilm)["']""")
