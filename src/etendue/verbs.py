@@ -101,10 +101,10 @@ def render(
     :class:`ClusterError`, where possible before the first pass, and :class:`engine.RunError` if a later pass fails.
     """
     from etendue.products import Picture, budget_of, choose_method, picture_task
-    from etendue.scene import SceneSource, colours_of
+    from etendue.scene import SceneSource, use_variant_of
 
     product = Picture.of(save, checkpoint, save_every)
-    use_variant(variant, colours_of(scene))
+    use_variant_of(scene, variant)
     kind = choose_method(method, scene, parameters)
     kind.Settings.check_arguments(settings, f"method '{kind.name}'", render)
     budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
@@ -157,11 +157,11 @@ def measure(
     """
     from etendue.engine import Task
     from etendue.products import MeterTable, budget_of, choose_method
-    from etendue.scene import SceneSource, colours_of
+    from etendue.scene import SceneSource, use_variant_of
 
     placed = _meters(meters, directions, quantity)
     product = MeterTable.of(placed, save, photometric, save_every, checkpoint=checkpoint)
-    use_variant(variant, colours_of(scene))
+    use_variant_of(scene, variant)
     kind = choose_method(method, scene, parameters)
     kind.Settings.check_arguments(settings, f"method '{kind.name}'", measure)
     budget = budget_of(kind, {"seconds": seconds, "spp": spp, "error": error})
@@ -818,12 +818,12 @@ def view(
     """
     from etendue import methods
     from etendue.products import budget_of
-    from etendue.scene import described, is_described
+    from etendue.scene import described, is_described, use_variant_of
     from etendue.viewer import Asked, Viewer, is_picture
 
     kind = methods.get(method)
     kind.Settings.check_arguments(settings, f"method '{method}'", view)
-    use_variant(variant)
+    use_variant_of(scene, variant)
     if is_described(scene) and not is_picture(scene):
         described(scene, logger.debug)
     asked = Asked(

@@ -1,6 +1,8 @@
 """Which variants scenes need: by their names, descriptions and files."""
 
 import json
+import subprocess
+import sys
 
 import mitsuba as mi
 import numpy as np
@@ -18,6 +20,7 @@ XML = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}"/></shape></sc
 
 def test_scenes_with_dispersive_glass_need_wavelengths(tmp_path):
     files = {"glass.xml": XML.format("dispersive"), "plain.xml": XML.format("dielectric")}
+    files["glass film.xml"] = '<scene version="3.0.0"><sensor type="thinlens"><film type="specfilm"/></sensor></scene>'
     files["glass.gltf"] = json.dumps({"extensionsUsed": ["KHR_materials_dispersion"]})
     files["plain.gltf"] = json.dumps({"meshes": []})
     for name, text in files.items():
@@ -26,6 +29,30 @@ def test_scenes_with_dispersive_glass_need_wavelengths(tmp_path):
     assert colours_of("prism") == colours_of(bundled_scene("diamond")) == colours_of(GLASS) == "spectral"
     for other in ("cornell-box", "no such scene", {"type": "scene"}, None, tmp_path / "missing.xml"):
         assert colours_of(other) == "rgb"
+
+
+ENTRIES = {
+    "render": "etendue.render(SCENE, 'path', spp=1)",
+    "check": "assert etendue.check(SCENE, quick=True).ok",
+    "view": "with etendue.view(SCENE, 'path', spp=1) as v: v.loaded(60); assert v._session.problem is not None",
+    "load": "etendue.scene.load(SCENE)",
+    "integrator": "etendue.scene.integrator_of(SCENE)",
+}
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_python_chooses_the_variant_of_a_scene(entry):
+    """In a process of its own, since a variant that is set stays."""
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 2, "height": 2}},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "center": [0, 0, -5], "bsdf": {"type": "dispersive"}},
+    }
+    code = ENTRIES[entry].replace("SCENE", repr(scene))
+    program = f"import etendue, etendue.scene, mitsuba as mi\n{code}\nassert 'spectral' in mi.variant(), mi.variant()"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def raw_picture():

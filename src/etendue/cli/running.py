@@ -43,11 +43,12 @@ def choose_device(
     if low_priority:
         lower_priority()  # before there are threads, which have the priority of their creator
     set_threads(threads)
-    if scene is not None and variant is None:
-        from etendue.scene import colours_of
+    if scene is None:
+        use_variant(variant, colours)
+    else:
+        from etendue.scene import use_variant_of
 
-        colours = colours_of(scene)
-    use_variant(variant, colours)
+        use_variant_of(scene, variant)
 
 
 def follow(open_session: Callable[[], Session[T]], console: Console, label: str) -> Outcome[T]:

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import OptionError, SceneError, UnsupportedError, use_variant
-from etendue.scene import Problem, Source, graph, is_model, load
+from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.scene import Problem, Source, graph, is_model, load, use_variant_of
 from etendue.surfaces import is_mesh_file
 
 from .bsdfs import check_bsdf
@@ -50,7 +50,7 @@ def check(
 
     Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for an invalid sensor.
     """
-    use_variant()
+    use_variant_of(scene)
     began = time.perf_counter()
     path = Path(scene) if isinstance(scene, (str, os.PathLike)) else None
     if path is not None and is_mesh_file(path):

@@ -124,6 +124,10 @@ class Method(ABC):
         """:attr:`samples_per_iteration` before :meth:`prepare`; ``None`` if only ``prepare`` determines it."""
         return None
 
+    def passes_for(self, problem: Any) -> int:
+        """:attr:`least_passes` for a problem, which may need more."""
+        return self.least_passes
+
     def noise(self, measurement: Measurement) -> float | None:
         """Variance of the result, which budgets and progress use; by default that of the pixels of ``image``. ``None``
         if it is not known."""

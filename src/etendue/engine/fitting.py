@@ -18,7 +18,7 @@ def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Me
     """
     known = method.samples_for(problem)
     chosen = method.samples_per_iteration if known is None else known
-    most = min(chosen, max(1, samples // method.least_passes))
+    most = min(chosen, max(1, samples // method.passes_for(problem)))
     fitting = fitting_samples(samples, most)
     if fitting == chosen or getattr(method.settings, "samples_per_pass", 1) != 0:
         return method if known is None else prepared(method, problem, seed)

@@ -26,10 +26,12 @@ if TYPE_CHECKING:
         relative_squared_error as relative_squared_error,
     )
     from .exr import (
+        BANDS as BANDS,
         channel_names as channel_names,
         layer_path as layer_path,
         read_exr as read_exr,
         read_image as read_image,
+        require_colours as require_colours,
         write_exr as write_exr,
         write_layers as write_layers,
     )

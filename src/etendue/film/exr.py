@@ -2,28 +2,31 @@
 
 The layer ``image`` is the file's R, G, B, so that every viewer shows the picture, and ``alpha`` is its A; another
 layer ``name`` has channels ``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and
-positions, ``name.Z`` for a depth, ``name.Y`` for any other single channel). Metadata are string attributes
-``etendue:key``: text unchanged, anything else as JSON; attributes of a :mod:`.cryptomatte` have the names that
-compositors know.
+positions, ``name.Z`` for a depth, ``name.Y`` for any other single channel); those of a picture with bands of
+wavelengths in place of colours have the names of the bands. Metadata are string attributes ``etendue:key``: text
+unchanged, anything else as JSON; attributes of a :mod:`.cryptomatte` have the names that compositors know.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import VERSION, OutputError, Result, SceneError
+from etendue.core import VERSION, OptionError, OutputError, Result, SceneError
 
 from .cryptomatte import ATTRIBUTES
 from .layers import ALPHA
 from .output import replacing
 
 _PREFIX = "etendue:"
+#: Key of the metadata of a picture that has bands of wavelengths in place of colours: their names, in their order.
+BANDS = "bands"
 #: Layers of directions and positions, whose channels are axes rather than colours.
 _VECTOR_LAYERS = frozenset({"normal", "seen_normal", "position", "tangent"})
 _DEPTH_LAYERS = frozenset({"depth"})
@@ -49,7 +52,8 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
         size = size or values.shape[:2]
         if values.ndim != 3 or values.shape[:2] != size:
             raise OutputError(f"cannot write '{path}': layer '{name}' has shape {values.shape}, the picture {size}")
-        for index, channel in enumerate(channel_names(name, values.shape[2], path)):
+        names = channel_names(name, values.shape[2], path, result.metadata.get(BANDS))
+        for index, channel in enumerate(names):
             channels[channel] = np.ascontiguousarray(values[:, :, index])
     if not channels:
         raise OutputError(f"cannot write '{path}': the result has no layers")
@@ -105,13 +109,17 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
     for name, pixels in stored.items():
         layer, _, suffix = name.rpartition(".")
         grouped.setdefault(layer or "image", {})[suffix] = pixels
+    metadata = {key.removeprefix(_PREFIX): _decode(v) for key, v in header.items() if key.startswith(_PREFIX)}
+    metadata |= {key: value for key, value in header.items() if key.startswith(ATTRIBUTES)}
+    bands = metadata.get(BANDS, ())
     layers = {}
-    if "A" in (colours := grouped.get("image", {})) and colours.keys() > set("RGB"):
+    if "A" in (colours := grouped.get("image", {})) and colours.keys() > set(bands or "RGB"):
         grouped[ALPHA] = {"A": colours.pop("A")}
     for layer in sorted(grouped, key=lambda name: (name != "image", name)):
         members = grouped[layer]
         order = (
-            next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), "")
+            (bands if set(bands) == members.keys() else "")
+            or next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), "")
             or next((o for o in _COLOURS if set(o) < members.keys()), "")
             or sorted(members)
         )
@@ -119,8 +127,6 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
         for suffix in sorted(members.keys() - set(order)):
             own = suffix if layer == "image" else f"{layer}.{suffix}"
             layers[own] = members[suffix][..., None].astype(np.float32)
-    metadata = {key.removeprefix(_PREFIX): _decode(v) for key, v in header.items() if key.startswith(_PREFIX)}
-    metadata |= {key: value for key, value in header.items() if key.startswith(ATTRIBUTES)}
     return Result(layers=layers, metadata=metadata)
 
 
@@ -132,7 +138,9 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """
     _check_readable(path)
     if _is_exr(path):
-        layers = read_exr(path).layers
+        read = read_exr(path)
+        require_colours(read.metadata, f"'{path}'")
+        layers = read.layers
         pixels = layers.get("image")
         if pixels is None:
             raise SceneError(f"'{path}' has no R, G, B channels, only layers: {', '.join(layers)}")
@@ -151,11 +159,27 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     return np.ascontiguousarray(pixels[:, :, :3], dtype=np.float32)
 
 
-def channel_names(layer: str, count: int, path: str | os.PathLike[str] = "the picture") -> list[str]:
-    """Names of the ``count`` channels of a layer. Raises :class:`OutputError` unless there are 1, 3 or 4."""
+def require_colours(metadata: Mapping[str, Any], what: str) -> None:
+    """Raise :class:`OptionError` if the channels of a picture are bands of wavelengths. ``what``: the picture, in
+    messages."""
+    if (bands := metadata.get(BANDS)) is not None:
+        raise OptionError(
+            f"{what} has bands of wavelengths ({', '.join(bands)}), not colours; write it as .exr and read its "
+            "channels, or render with an 'hdrfilm'"
+        )
+
+
+def channel_names(
+    layer: str, count: int, path: str | os.PathLike[str] = "the picture", bands: Sequence[str] | None = None
+) -> list[str]:
+    """Names of the ``count`` channels of a layer, those of ``bands`` in a picture that has some. Raises
+    :class:`OutputError` unless there are 1, 3 or 4 without bands."""
+    suffixes: Sequence[str]
     if layer == ALPHA and count == 1:
         return ["A"]
-    if count == 1:
+    if bands is not None:
+        suffixes = bands
+    elif count == 1:
         suffixes = "Z" if layer in _DEPTH_LAYERS else "Y"
     elif count == 3:
         suffixes = "XYZ" if layer in _VECTOR_LAYERS else "RGB"

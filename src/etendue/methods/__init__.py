@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         ImageSettings as ImageSettings,
         Layer as Layer,
         total as total,
+        warn_of_bands as warn_of_bands,
     )
     from .bidirectional import Bidirectional as Bidirectional, Bpm as Bpm, Bpt as Bpt, Vcm as Vcm
     from .box_tracing import (

@@ -30,12 +30,26 @@ from etendue.core import (
     State,
     UnsupportedError,
     free_memory,
+    logger,
     setting,
     uses_cuda,
 )
-from etendue.film import COMPONENTS, variance_of
+from etendue.film import BANDS, COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
-from etendue.scene import LightTable, Packet, Problem, graph, is_rgb, is_spectral, media_of, refuse_one_way, scatters
+from etendue.scene import (
+    LEAST_WHITE,
+    Bands,
+    LightTable,
+    Packet,
+    Problem,
+    band_names,
+    graph,
+    is_rgb,
+    is_spectral,
+    media_of,
+    refuse_one_way,
+    scatters,
+)
 from etendue.transport import (
     CameraPath,
     CameraSampler,
@@ -86,6 +100,10 @@ _MOST_SAMPLES = 64
 DENOISING_PASSES = 8
 #: Passes under a spectral variant, if there are as many samples: each has four wavelengths.
 SPECTRAL_PASSES = 16
+#: The same for each band of a film that records bands.
+BAND_PASSES = 8
+#: Settings whose layers are colours also where the film records bands; the first implies others.
+_OF_COLOURS = ("for_denoising", "aovs", "cryptomatte")
 #: Bytes of a pixel of a splat image in cells, and the share of the memory that such images may take.
 _CELL_BYTES, _CELL_SHARE = 120, 0.125
 #: Light and camera paths of a pilot pass.
@@ -215,6 +233,9 @@ class ImageMethod(Method):
     one_way: bool = False
     #: Whether the method renders under variants whose light is not RGB.
     spectral: ClassVar[bool] = False
+    #: Whether the method renders bands of wavelengths, as it does if all paths of a pass have the same wavelengths.
+    renders_bands: ClassVar[bool] = True
+    bands: Bands | None = None  #: of the film, if it records no colours
     #: Whether meters may take the place of a camera: not if photons are merged, of which there are none on meters, nor
     #: if paths are chosen by where they are in a picture.
     measures: ClassVar[bool] = False
@@ -255,7 +276,8 @@ class ImageMethod(Method):
             refuse_one_way(problem.scene, f"method '{self.name}'")
         graph.without_literals(problem.scene)
         self.problem, self.scene = problem, problem.scene
-        self.packet = Packet()
+        self.bands = self._bands_of(problem)
+        self.packet = Packet(self.bands)
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent", self.packet)
         self.lights = LightTable(problem.scene, self.packet)
         if self.settings.hide_emitters:
@@ -284,6 +306,20 @@ class ImageMethod(Method):
                     f"{others}"
                 )
 
+    def _bands_of(self, problem: Problem) -> Bands | None:
+        """The bands that the film records. Raises :class:`UnsupportedError` if they cannot be rendered as asked."""
+        film = problem.sensor.film()
+        bands = Bands(film) if band_names(film) else None
+        if bands is not None and not self.renders_bands:
+            raise UnsupportedError(
+                f"method '{self.name}' renders no bands of a 'specfilm'; use auto, vcm, bpt, sppm or path, or an "
+                "'hdrfilm'"
+            )
+        for name in _OF_COLOURS if bands is not None else ():
+            if getattr(self.settings, name):
+                raise OptionError(f"{name} has colours, which a 'specfilm' does not record; leave out {name}")
+        return bands
+
     def bind(self, scene: mi.Scene | None) -> None:
         """Set the scene for which the method was prepared, or release it (``None``) until the next run."""
         self.problem.scene = self.scene = self.visibility.scene = scene
@@ -306,6 +342,12 @@ class ImageMethod(Method):
             lanes = min(lanes, problem.memory // _LANE_BYTES)
         return min(_MOST_SAMPLES, max(1, lanes // math.prod(problem.size)))
 
+    def passes_for(self, problem: Problem) -> int:
+        """See ``core.Method``."""
+        if not is_spectral():  # the problem may be one without a sensor
+            return self.least_passes
+        return max(self.least_passes, BAND_PASSES * len(band_names(problem.sensor.film())))
+
     def full_lanes(self) -> int:
         """Camera paths of a pass if ``samples_per_pass`` is 0."""
         return FULL_LANES * (_GPU_FULL if uses_cuda() else min(max(1, dr.thread_count() // 2), _MOST_FULL))
@@ -326,6 +368,8 @@ class ImageMethod(Method):
             first, bad = self.first_layers(iteration, seed, samples)
             layers |= first
             counters["nonfinite"] += bad
+        if self.bands is not None:
+            layers = {name: self.packet.in_bands(layer) for name, layer in layers.items()}
         sums: dict[str, Any] = dict(layers)  # in single precision, as they are of one pass
         measured = ["image", *(name for name in layers if self.settings.aovs and name in PARTS)]
         return Measurement(
@@ -353,7 +397,7 @@ class ImageMethod(Method):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
 
-        The layers either include ``image``, or the image is their sum."""
+        The channels are as of ``Packet.recorded``. The layers either include ``image``, or the image is their sum."""
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes, layer by layer; with ``reweight``, without fireflies. With ``aovs`` and two passes, the
@@ -361,6 +405,8 @@ class ImageMethod(Method):
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = seen({name: measurement.mean(name).astype(np.float32) for name in names})
         metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()} | self.notes
+        if self.bands is not None:
+            metadata[BANDS] = list(self.bands.names)
         layers, metadata = layers | self._still[0], metadata | self._still[1]
         if getattr(self.settings, "reweight", False):
             reach = 1 if self.camera.independent else self.camera.filter.reach
@@ -430,9 +476,9 @@ class ImageMethod(Method):
         return fields | ({} if self._hits is None else {"through": self._hits.through})
 
     def kept(self, radiance: mi.Spectrum) -> tuple[mi.Color3f, mi.Bool]:
-        """(colour of camera paths' radiance, clamped, 0 where it is not finite; mask of lanes where it is not finite).
-        For methods with :class:`CameraSettings`."""
-        radiance, bad = keep_finite(self.packet.rgb(radiance))
+        """(radiance of camera paths, as it is recorded, clamped, 0 where it is not finite; mask of lanes where it is
+        not finite). For methods with :class:`CameraSettings`."""
+        radiance, bad = keep_finite(self.packet.recorded(radiance))
         if self.settings.clamp > 0.0:
             radiance *= self._clamping(radiance)
         return radiance, bad
@@ -444,7 +490,7 @@ class ImageMethod(Method):
 
     def kept_together(self, parts: dict[str, mi.Spectrum]) -> tuple[dict[str, mi.Color3f], mi.Bool]:
         """As :meth:`kept`, of the layers whose sum is the radiance: all have the same factor."""
-        parts = {name: self.packet.rgb(part) for name, part in parts.items()}
+        parts = {name: self.packet.recorded(part) for name, part in parts.items()}
         whole, bad = keep_finite(functools.reduce(operator.add, parts.values()))
         factor = self._clamping(whole) if self.settings.clamp > 0.0 else mi.Float(1.0)
         return {name: dr.select(bad, 0.0, part * factor) for name, part in parts.items()}, bad
@@ -502,6 +548,20 @@ class ImageMethod(Method):
         layers = self.images(found, seed, hits.iteration, samples)
         layers["depth"] /= np.float32(self.problem.space.scale)
         return {name: layer * np.float32(samples / hits.rays) for name, layer in layers.items()}, bad
+
+
+def warn_of_bands(measurement: Measurement, result: Result) -> None:
+    """Log the bands of a picture that none of the wavelengths of its passes is in."""
+    weights = np.atleast_1d(measurement.weights.get("image", 1.0)) / max(len(measurement.iterations), 1)
+    # A pass of n camera paths a pixel has n times the weight of one.
+    unseen = weights <= 2.0 * LEAST_WHITE * weights.max()
+    names = [name for name, none in zip(result.metadata.get(BANDS, ()), unseen, strict=False) if none]
+    if names:
+        logger.warning(
+            "no wavelength of the %d passes is in the bands %s of the film, which are black; render more samples",
+            len(measurement.iterations),
+            ", ".join(names),
+        )
 
 
 def _check_hidden(scene: mi.Scene) -> None:

@@ -171,7 +171,7 @@ class Guided(Carrying, EndsInMap):
             counters["rays"] += rays
             counters["nonfinite"] += bad
             for name, light in radiance.items() if count < samples else ():
-                layers.setdefault(name, dr.zeros(mi.Color3f, pixels * samples))
+                layers.setdefault(name, dr.zeros(type(light), pixels * samples))
                 dr.scatter(layers[name], light * dr.opaque(mi.Float, weight), lanes)
             first, self._weight = first + count, self._weight + weight * count / samples
         whole = dr.opaque(mi.Float, 1.0 / self._weight)

@@ -110,4 +110,8 @@ class Group:
 
 def concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
     """Colours of several groups of lanes as one array."""
-    return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
+    return (
+        colours[0]
+        if len(colours) == 1
+        else type(colours[0])(*(dr.concat(list(each)) for each in zip(*colours, strict=True)))
+    )

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Method, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import Budget, RunError, Runner, RunResult
-from etendue.film import COMPONENTS, LONGER, Technique, is_variance
-from etendue.methods import ImageMethod
+from etendue.film import BANDS, COMPONENTS, LONGER, Technique, is_variance
+from etendue.methods import ImageMethod, warn_of_bands
 from etendue.scene import Problem
 
 from .prepared import Prepared
@@ -62,6 +62,7 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
             self._cancelled = False
             self._runner: Runner | None = None
             self._layers = _requested(self.options, ())  # of the film, without the picture
+            self._bands: list[str] | None = None  # of the latest picture
             super().__init__(props)
 
         def render(
@@ -98,7 +99,9 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
                     layers = run.result.layers
                 warn_of_nonfinite(run.measurement)
                 self._layers = _requested(self.options, layers)
-                _fill(film, layers, self._layers)
+                warn_of_bands(run.measurement, run.result)
+                self._bands = run.result.metadata.get(BANDS)
+                _fill(film, layers, self._layers, self._bands)
                 if not develop:
                     return mi.TensorXf()
                 image = film.develop()
@@ -162,7 +165,7 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
         def aov_names(self) -> list[str]:
             """Names of the channels after those of the picture: first-hit layers, and after a rendering also the layers
             of techniques, which depend on the scene."""
-            return _channels(self._layers)
+            return _channels(self._layers, self._bands)
 
         def to_string(self) -> str:
             rows = ",\n".join(f"  {name} = {value}" for name, value in self.options.items())
@@ -196,16 +199,16 @@ def _requested(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
     return names
 
 
-def _channels(layers: Iterable[str]) -> list[str]:
-    """Names of the channels of ``layers`` in a film."""
+def _channels(layers: Iterable[str], bands: list[str] | None) -> list[str]:
+    """Names of the channels of ``layers`` in a film, which may have ``bands``."""
     return [
         channel
         for name in layers
-        for channel in (_AOV_CHANNELS | _SEEN_CHANNELS).get(name, [f"{name}.{c}" for c in "RGB"])
+        for channel in (_AOV_CHANNELS | _SEEN_CHANNELS).get(name, [f"{name}.{c}" for c in bands or "RGB"])
     ]
 
 
-def _fill(film: mi.Film, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:
+def _fill(film: mi.Film, layers: dict[str, NDArray[np.float32]], extra: list[str], bands: list[str] | None) -> None:
     """Copy the picture and the ``extra`` layers to the film, for ``film.develop()``, ``film.bitmap()`` and
     ``film.write()``."""
     import mitsuba as mi
@@ -214,8 +217,9 @@ def _fill(film: mi.Film, layers: dict[str, NDArray[np.float32]], extra: list[str
     channels = [image]
     if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
         channels.append(layers["alpha"])
-    channels.append(np.ones((*image.shape[:2], 1), np.float32))  # the film divides by this weight
-    channels += [layers[name] for name in extra]
-    film.prepare(_channels(extra))
+    weight = np.ones((*image.shape[:2], 1), np.float32)  # by which the film divides
+    more = [layers[name] for name in extra]
+    channels += [weight, *more] if bands is None else [*more, weight]
+    film.prepare(_channels(extra, bands))
     tensor = mi.TensorXf(np.concatenate(channels, -1, dtype=np.float32))
     film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))

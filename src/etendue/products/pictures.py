@@ -24,7 +24,8 @@ from etendue.core import (
     warn_of_nonfinite,
 )
 from etendue.engine import Budget, Checkpoint, Job, Product, RunResult, Task, check_period, silent, versions
-from etendue.scene import Problem, SceneSource, described_sensor
+from etendue.methods import warn_of_bands
+from etendue.scene import Problem, SceneSource, band_names, described_sensor
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
 
@@ -35,10 +36,10 @@ Image = NDArray[np.float32]
 class Rendering(InNotebooks):
     """A picture with its layers and metadata.
 
-    ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
-    the technique families whose sum it is; with ``pyramid`` the techniques (``film.Technique`` parses their names);
-    with ``aovs`` first-hit layers. ``metadata`` has method, settings, seed, versions, passes, samples, seconds, rays
-    and more.
+    ``layers`` are float32 arrays (height, width, channels), linear RGB, or bands, if the film has some: ``image``;
+    with the setting ``split_layers`` the technique families whose sum it is; with ``pyramid`` the techniques
+    (``film.Technique`` parses their names); with ``aovs`` first-hit layers. ``metadata`` has method, settings, seed,
+    versions, passes, samples, seconds, rays and more.
     """
 
     layers: dict[str, Image]
@@ -47,7 +48,7 @@ class Rendering(InNotebooks):
 
     @property
     def image(self) -> Image:
-        """The picture, (height, width, 3), linear RGB radiance."""
+        """The picture, (height, width, 3), linear RGB radiance; (height, width, bands) if the film has bands."""
         return self.layers["image"]
 
     def save(self, path: PathLike, tone: str = "srgb", exposure: float | str = "auto") -> None:
@@ -110,6 +111,12 @@ class Picture(Product[Rendering]):
         """Pictures, then the checkpoint."""
         return self.pictures if self.checkpoint is None else (*self.pictures, self.checkpoint)
 
+    def check(self, problem: Problem) -> None:
+        """See :class:`Product`. Raises :class:`OptionError` for a ``.png`` of bands of wavelengths."""
+        for path in self.pictures:
+            if path.suffix.lower() != ".exr" and (bands := band_names(problem.sensor.film())):
+                film.require_colours({film.BANDS: bands}, f"'{path}'")
+
     def default_budget(self, task: Task, problem: Problem) -> Budget:
         """The scene's own sample count."""
         return Budget(samples=max(1, problem.spp))
@@ -131,6 +138,7 @@ class Picture(Product[Rendering]):
     def finish(self, job: Job, run: RunResult, tell: Callable[[str], object] = silent) -> Rendering:
         """See :class:`Product`."""
         warn_of_nonfinite(run.measurement)
+        warn_of_bands(run.measurement, run.result)
         return self.write(job, run)
 
     def write(self, job: Job, run: RunResult) -> Rendering:
@@ -242,6 +250,7 @@ def save_result(
     elif path.suffix.lower() == ".exr":
         film.write_exr(path, result)
     else:
+        film.require_colours(result.metadata, f"'{path}'")
         display.write_png(path, display.tonemap(result.image, exposure, tone, result.layers.get(film.ALPHA)))
 
 

@@ -6,6 +6,7 @@ from etendue.core import on_use
 
 if TYPE_CHECKING:
     from . import graph as graph, meshes as meshes
+    from .bands import Bands as Bands, band_names as band_names, require_colours as require_colours
     from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
     from .camera import MOVABLE as MOVABLE, Camera as Camera, described_sensor as described_sensor
     from .capability import check as check, is_dark as is_dark, one_way as one_way, refuse_one_way as refuse_one_way
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
         integrator_of as integrator_of,
         load as load,
         locate as locate,
+        use_variant_of as use_variant_of,
     )
     from .media import (
         Media as Media,
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
     from .models.reading import emits as emits, is_model as is_model
     from .packet import (
         DISPERSES as DISPERSES,
+        LEAST_WHITE as LEAST_WHITE,
         Packet as Packet,
         brightness as brightness,
         entry as entry,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from etendue.core import SceneError, UnsupportedError, check_variant
 
+from .bands import require_colours
 from .changes.transforms import fault, mirrors, misshapen
 from .graph import as_array, below, contents, describe, plugin_name, shapes, without_literals
 from .lamps.environments import is_unsampled
@@ -115,8 +116,10 @@ def _check_sensor(sensor: mi.Sensor) -> None:
     if plugin_name(sensor) not in (*SENSORS, *METERS):
         raise UnsupportedError(f"{name} is not supported; {_SENSOR_REMEDY}")
     film = sensor.film()
-    if plugin_name(film) != "hdrfilm":
+    if plugin_name(film) not in ("hdrfilm", "specfilm"):
         raise UnsupportedError(f"{describe(film, 'film')} is not supported; use 'hdrfilm'")
+    if plugin_name(sensor) in METERS:
+        require_colours(film, name)
     if film.sample_border():
         raise UnsupportedError(
             f"{describe(film, 'film')} samples its border, which is not supported; set sample_border to false"

@@ -14,11 +14,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from etendue.core import OptionError, SceneError, threads_for_files, use_variant
+from etendue.core import OptionError, SceneError, threads_for_files
 from etendue.film import replacing
 
 from .builtin.table import BundledScene
-from .loading import _is_loaded, _parse, _resolving, locate
+from .loading import _is_loaded, _parse, _resolving, locate, use_variant_of
 from .meshes import MeshDescription
 from .models.reading import is_model, model
 from .parsing import Change, Size, give_types, read_properties, resize
@@ -252,7 +252,7 @@ def _described(
 
 def _locate(source: Any) -> Any:
     """The file, bundled scene or dictionary that the parser reads. Raises :class:`SceneError` for a loaded scene."""
-    use_variant()
+    use_variant_of(source)
     if _is_loaded(source):
         raise SceneError("a scene in memory has no description; give its file or its dictionary")
     return locate(source, lambda _: None) if isinstance(source, (str, os.PathLike)) else source

@@ -80,6 +80,8 @@ def _sensor_digest(sensor: mi.Sensor) -> bytes:
     for item in (sensor, film):
         for name, value in contents(item).values:
             parts += [name.encode(), _bytes(value)]
+    for name, band in contents(film).objects:
+        parts += [name.encode(), _digest(band, {})]
     return _hash(parts)
 
 

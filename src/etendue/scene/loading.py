@@ -77,11 +77,12 @@ def load(
     needs no emitter. ``change`` (such as :class:`LightEdits`) changes the parsed scene before its objects are built;
     equivalent elements and meshes are then not merged.
 
-    Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
-    :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
+    Sets a Mitsuba variant if none is set: see :func:`use_variant_of`. Raises :class:`SceneError` for a scene that
+    cannot be read or is broken, :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError`
+    for arguments out of range.
     """
 
-    use_variant()
+    use_variant_of(source)
     if size is not None:
         size = checked_size(size)
     if memory is not None and memory <= 0:
@@ -101,9 +102,10 @@ def load(
 def integrator_of(source: Source, parameters: Mapping[str, Any] | None = None) -> str:
     """Plugin name of a scene's integrator, "" if it has none. ``source`` is parsed, but not built.
 
-    Sets a Mitsuba variant if none is set. Errors as :func:`load`, as far as parsing finds them.
+    Sets a Mitsuba variant if none is set: see :func:`use_variant_of`. Errors as :func:`load`, as far as parsing finds
+    them.
     """
-    use_variant()
+    use_variant_of(source)
     if not _is_loaded(source):
         found = described(source, logger.debug)
         return take_integrator(_parse(found, parameters)[-1])[0]
@@ -144,27 +146,38 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
 
 def colours_of(source: Any) -> str:
     """The colours that a scene needs, for ``core.use_variant``: ``spectral`` if its description names materials that
-    disperse light, else ``rgb``. Never raises: what is wrong with a scene is found when it is loaded."""
+    disperse light or a film of bands of wavelengths, else ``rgb``. Never raises: what is wrong with a scene is found
+    when it is loaded."""
     try:
         scene = locate(source, logger.debug) if isinstance(source, (str, os.PathLike)) else source
         if isinstance(scene, Path) and scene.suffix.lower() in (".gltf", ".glb"):
             is_spectral = "KHR_materials_dispersion" in description(scene).get("extensionsUsed", ())
         elif isinstance(scene, Path):
-            is_spectral = scene.suffix.lower() == ".xml" and bool(_DISPERSES.search(scene.read_text("utf-8", "ignore")))
+            is_spectral = scene.suffix.lower() == ".xml" and bool(_SPECTRAL.search(scene.read_text("utf-8", "ignore")))
         else:
-            is_spectral = scene.is_spectral if isinstance(scene, BundledScene) else _names_dispersion(scene)
+            is_spectral = scene.is_spectral if isinstance(scene, BundledScene) else _names_wavelengths(scene)
     except (SceneError, OSError):
         return "rgb"
     return "spectral" if is_spectral else "rgb"
 
 
-_DISPERSES = re.compile(r"""type\s*=\s*["'](rough)?dispersive["']""")
+def use_variant_of(source: Any, requested: str | None = None) -> str:
+    """As ``core.use_variant``, with the colours that a scene needs: see :func:`colours_of`."""
+    import mitsuba as mi
+
+    undecided = requested is None and mi.variant() is None
+    return use_variant(requested, colours_of(source) if undecided else "rgb")
 
 
-def _names_dispersion(described: Any) -> bool:
+_SPECTRAL = re.compile(r"""type\s*=\s*["']((rough)?dispersive|specfilm)["']""")
+
+
+def _names_wavelengths(described: Any) -> bool:
     if not isinstance(described, Mapping):
         return False
-    return described.get("type") in ("dispersive", "roughdispersive") or any(map(_names_dispersion, described.values()))
+    return described.get("type") in ("dispersive", "roughdispersive", "specfilm") or any(
+        map(_names_wavelengths, described.values())
+    )
 
 
 def described(source: Any, tell: Callable[[str], object]) -> Path | BundledScene | Mapping[str, Any]:

@@ -16,14 +16,19 @@ from functools import cache
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, UnsupportedError
 from etendue.points import Sobol
+
+from .bands import Bands
 
 #: Flag of materials that refract light of different wavelengths in different directions. Refracted paths go on with the
 #: hero alone; from there on, all wavelengths of their rays are the hero's.
 DISPERSES = 1 << 24
 _HERO: ContextVar[bool] = ContextVar("hero", default=False)
+#: Weight of a pass for a band that none of its wavelengths is in.
+LEAST_WHITE = 1e-9
 #: Steps of the tables of colour matching functions and of D65, which are linear in between, in nanometres.
 _STEP = 5.0
 
@@ -93,9 +98,13 @@ class Packet:
     ``wavelengths`` (nanometres) are those of rays and interactions; the first is the *hero*. ``white``: (3,) colour of
     the pass in linear sRGB if all light is D65 and nothing absorbs: 1 in the mean over passes. The picture is divided
     by the mean of its passes.
+
+    ``bands``: those of a film that records no colours. ``white`` then is the value of each band for light of the same
+    radiance at all wavelengths, over its true value.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, bands: Bands | None = None) -> None:
+        self.bands = bands
         self.wavelengths = spread_wavelengths()
         self.white: Array = np.ones(3)
         self.choose(0, 0)
@@ -111,7 +120,14 @@ class Packet:
         hero = (first + shift[0]) % 1.0
         if not disperses:
             hero = (np.floor(4.0 * second) + hero) / 4.0
-        wavelengths, density = _sampled((hero + np.arange(4) / 4.0) % 1.0)
+        places = (hero + np.arange(4) / 4.0) % 1.0
+        if self.bands is not None:
+            wavelengths, self._in_bands = self.bands.sampled(places)
+            # A band that the pass does not serve has next to no weight in the mean of passes.
+            self.white = np.maximum(self.bands.share(self._in_bands), LEAST_WHITE)
+            self.wavelengths = _opaque(wavelengths)
+            return
+        wavelengths, density = _sampled(places)
         *matching, light = (np.interp(wavelengths, *curve) for curve in _curves(mi.variant()))
         matrix = np.array(matching) / (4.0 * density)
         self.white = matrix @ light
@@ -146,6 +162,14 @@ class Packet:
         if not is_spectral():
             return mi.Color3f(light[0])
         return mi.Color3f(*(dr.dot(row, light) for row in self._rows))
+
+    def recorded(self, light: mi.Spectrum) -> mi.Color3f | mi.Spectrum:
+        """Light as a pass sums it: :meth:`rgb`, or light at the four wavelengths if the film records bands."""
+        return self.rgb(light) if self.bands is None else mi.Spectrum(light)
+
+    def in_bands(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Sums of recorded light, (..., 4), as the film's bands, (..., bands)."""
+        return np.ascontiguousarray(sums @ self._in_bands.T.astype(np.float32))
 
     def albedo(self, share: mi.Spectrum) -> mi.Color3f:
         """The colour of what reflects a share of the light, under D65."""

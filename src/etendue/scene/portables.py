@@ -15,10 +15,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import SceneError, use_variant
+from etendue.core import SceneError
 
 from .builtin.table import BundledScene, bundled_scene
-from .loading import Source, _is_loaded, _parse, _resolving, locate
+from .loading import Source, _is_loaded, _parse, _resolving, locate, use_variant_of
 from .meshes import MeshDescription, built
 from .models.reading import is_model, model
 from .parsing import read_properties
@@ -46,7 +46,7 @@ def portable(source: Source, parameters: Mapping[str, Any] | None = None) -> Por
 
     Raises :class:`SceneError` for a loaded ``mi.Scene``, and for Mitsuba objects in a dictionary.
     """
-    use_variant()
+    use_variant_of(source)
     if _is_loaded(source):
         raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
     found = locate(source, lambda _: None) if isinstance(source, (str, os.PathLike)) else source

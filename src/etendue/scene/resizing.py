@@ -56,14 +56,15 @@ def resized_sensor(sensor: mi.Sensor, size: Size, pinhole: bool = False) -> mi.S
     plain["shutter_close"] = plain.get("shutter_open", 0.0) + float(values["shutter_open_time"])
     if "x_fov" in values:
         plain |= {"fov": float(np.asarray(values["x_fov"]).ravel()[0]), "fov_axis": "x"}
-    pixel_format = re.search(r"pixel_format = (\w+)", str(film))
+    bands = dict(contents(film).objects)  # of a specfilm
+    pixel_format = None if bands else re.search(r"pixel_format = (\w+)", str(film))
     return mi.load_dict(
         {
             "type": kind,
             "to_world": mi.ScalarTransform4f(matrix),
             "sampler": sensor.sampler().clone(),
             "film": {
-                "type": "hdrfilm",
+                "type": plugin_name(film),
                 "width": size[0],
                 "height": size[1],
                 "crop_offset_x": x,
@@ -71,9 +72,10 @@ def resized_sensor(sensor: mi.Sensor, size: Size, pinhole: bool = False) -> mi.S
                 "crop_width": width,
                 "crop_height": height,
                 "sample_border": bool(film.sample_border()),
-                "pixel_format": pixel_format.group(1) if pixel_format else "rgb",
                 "component_format": "float32",
                 "filter": film.rfilter(),
+                **({"pixel_format": pixel_format.group(1)} if pixel_format else {}),
+                **bands,
             },
             **plain,
         }

@@ -15,6 +15,7 @@ from etendue.film import PixelFilter
 from etendue.scene import Packet, Problem, is_spectral
 
 from . import dimensions as dim
+from .packing import packed_sum, unpacked_sum
 
 #: Most memory, in bytes, for the copies of the splat images, one copy per thread.
 _EXPAND_BYTES = 64e6
@@ -86,17 +87,17 @@ class Splats:
 
     def add_to(self, image: mi.UInt32 | int, place: SplatPlace, value: mi.Spectrum, active: mi.Bool) -> None:
         """Add a colour to the image with a given number, one lane each."""
-        colour = self._camera.packet.rgb(value)
-        packet = mi.Vector4f(colour.x, colour.y, colour.z, 0.0)
+        packet = packed_sum(self._camera.packet.recorded(value))
         for index, share, on_film in place.taps:
             index = index + image * self._stride
             dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
 
     def sums(self, factor: float = 1.0) -> NDArray[np.float32]:
-        """The images, times ``factor``, on the host, (images, height, width, 3) float32."""
+        """The images, times ``factor``, on the host, (images, height, width, 3) float32; with 4 channels, one for each
+        wavelength, if the film records bands."""
         pixels = self._grid.pixels(self.array) if self._grid else dr.unravel(mi.Vector4f, self.array)
-        colours = mi.Color3f(pixels.x, pixels.y, pixels.z) * dr.opaque(mi.Float, factor)
-        return np.array(dr.ravel(colours)).reshape(-1, self._camera.height, self._camera.width, 3)
+        colours = unpacked_sum(pixels, self._camera.packet) * dr.opaque(mi.Float, factor)
+        return np.array(dr.ravel(colours)).reshape(-1, self._camera.height, self._camera.width, len(colours))
 
 
 class CameraSampler:

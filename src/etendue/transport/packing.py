@@ -5,6 +5,8 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from etendue.scene import Packet
+
 
 def packed_direction(d: mi.Vector3f) -> tuple[mi.Float, mi.Float]:
     """A unit vector as two numbers, by the octahedral map [Cigolle 2014]."""
@@ -44,3 +46,13 @@ def packed_light(light: mi.Spectrum) -> tuple[list[mi.Float], mi.Float | None]:
 def unpacked_light(packet: mi.Vector4f, fourth: mi.Float | None) -> mi.Spectrum:
     """Inverse of :func:`packed_light`."""
     return mi.Spectrum(*[*packet.xyz, fourth][: dr.size_v(mi.Spectrum)])
+
+
+def packed_sum(light: mi.Color3f | mi.Spectrum) -> mi.Vector4f:
+    """A colour, or light at four wavelengths, to be added to others in memory."""
+    return mi.Vector4f(*light, *[0.0] * (4 - len(light)))
+
+
+def unpacked_sum(packed: mi.Vector4f, packet: Packet) -> mi.Color3f | mi.Spectrum:
+    """Inverse of :func:`packed_sum`."""
+    return mi.Color3f(packed.xyz) if packet.bands is None else mi.Spectrum(*packed)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from etendue.core import EtendueError, describe, logger, use_variant
 from etendue.engine import jit_flags, set_jit_flags
-from etendue.scene import Problem, name_elements
+from etendue.scene import Problem, name_elements, require_colours
 
 from . import commands, states
 from .camera import Pose, place
@@ -193,6 +193,8 @@ class ViewerSession:
         ``keep_pose``: it is the previous scene, and its camera and views are kept."""
         still = Still(asked.scene) if is_picture(asked.scene) else None
         problem = None if still is not None else asked.load(lambda state: self._change(asked, state))
+        if problem is not None:
+            require_colours(problem.sensor.film(), "the viewer")
         home, before = None if problem is None else Pose.of(problem), self.problem
 
         def kept(pose: Pose) -> Pose:

@@ -15,7 +15,7 @@ from etendue import display, film, methods
 from etendue.core import BackendError, ClusterError, OptionError, OutputError, SceneError, UnsupportedError, describe
 from etendue.engine import Job, Task
 from etendue.products import Picture, Rendering, budget_of, picture_task, start_job
-from etendue.scene import SceneSource, bundled
+from etendue.scene import SceneSource, bundled, require_colours
 
 from ..console import command_line, note, say
 from ..options import settings_by_method
@@ -119,6 +119,7 @@ class Comparison:
 
         def open_job() -> Job:
             job = Job.open(replace(task, product=product))
+            require_colours(job.problem.sensor.film(), "a comparison")
             check_reference(self._reference, job.problem.size, "--size {}x{}")
             return job
 

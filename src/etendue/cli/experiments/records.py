@@ -18,7 +18,7 @@ from etendue import display, film, methods
 from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
 from etendue.products import Picture, Rendering, Update, Writing
-from etendue.scene import Problem
+from etendue.scene import Problem, require_colours
 
 from ..running import check_reference, make_folder
 from .history import History
@@ -90,7 +90,9 @@ class Recorder(Picture):
         return tuple(self._written)
 
     def check(self, problem: Problem) -> None:
-        """Raise :class:`OptionError` if the picture cannot be compared with the reference."""
+        """Raise :class:`OptionError` if the picture cannot be compared with the reference, :class:`UnsupportedError` if
+        it has no colours."""
+        require_colours(problem.sensor.film(), "a run file")
         check_reference(self._reference, problem.size, "size = [{}, {}] in [scene]")
 
     def __enter__(self) -> Self:

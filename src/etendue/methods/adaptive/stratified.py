@@ -182,7 +182,7 @@ class StratifiedPath(AdaptivePath):
             source.give(draws, x, self.left_by_pick())
             state = self.trace(dr.minimum(mi.UInt32(u * self.camera.pixels), self.camera.pixels - 1), source)
             radiance, _ = self.kept(state.radiance)
-            value = mi.luminance(radiance)
+            value = mi.luminance(radiance) if self.bands is None else dr.mean(radiance)
             dr.eval(value, state.rays)
             self._explored += total(state.rays)
             return value

@@ -122,6 +122,7 @@ class MetropolisMethod(Carrying, ImageMethod):
     settings: MetropolisSettings
     carries_on: ClassVar[bool] = True
     spectral: ClassVar[bool] = True
+    renders_bands: ClassVar[bool] = False  # chains have wavelengths of their own
     in_the_dark: ClassVar[type[ImageMethod] | None] = Bpt  # chains cannot start without light
 
     @abstractmethod

@@ -46,11 +46,12 @@ def _result(result: Any) -> str:
     if layers:
         more = f" and {len(layers) - _LAYERS} more" if len(layers) > _LAYERS else ""
         facts["layers"] = ", ".join(layers[:_LAYERS]) + more
-    return card(f"{known.get('method', 'picture')}, {width} × {height}", facts, [_figure(image, "picture")])
+    return card(f"{known.get('method', 'picture')}, {width} × {height}", facts, _figures(image, "picture"))
 
 
-def _figure(image: Any, alt: str, name: str = "") -> Figure:
-    return Figure(tonemap(image, "auto"), alt, name)
+def _figures(image: Any, alt: str) -> list[Figure]:
+    """The picture; none of one whose channels are bands, not colours."""
+    return [Figure(tonemap(image, "auto"), alt, "")] if image.shape[2] == 3 else []
 
 
 def _of_run(known: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,7 +78,7 @@ def _session(session: Any) -> str:
         html = html_of(result)
         return html if html is not None else card("Session", {}, status=f"done: {result!r}")
     image = session.image
-    figures = [] if image is None else [_figure(image, "the picture so far")]
+    figures = [] if image is None else _figures(image, "the picture so far")
     return card("Session", {}, figures, **_progress(session.progress, session.prepared))
 
 

@@ -18,6 +18,7 @@ from etendue.film import LONGER, Technique
 from etendue.scene import Packet
 
 from ..camera import SplatPlace
+from ..packing import packed_sum, unpacked_sum
 from .techniques import Techniques
 
 #: Bytes per pixel and layer: four floats on the device; on the host the sum of a pass, the sum of all passes, the
@@ -96,19 +97,19 @@ class Pyramid:
 
     def _scatter(self, slot: mi.UInt32, pixel: mi.UInt32, value: mi.Spectrum, active: mi.Bool) -> None:
         active = active & dr.all(dr.isfinite(value)) & dr.any(value != 0.0)
-        packet = mi.Vector4f(*self._packet.rgb(value), 0.0)
+        packet = packed_sum(self._packet.recorded(value))
         dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, slot * self._pixels + pixel, active)
 
     def layers(self, image: Callable[[mi.Color3f], NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-        """The pictures by name, (height, width, 3), sums over all paths. ``image`` filters sums of contributions of
-        camera paths, one lane a pixel."""
+        """The pictures by name, (height, width, channels), sums over all paths. ``image`` filters sums of
+        contributions of camera paths, one lane a pixel."""
         lanes = dr.arange(mi.UInt32, self._pixels)
         sums = []
         for slot, technique in enumerate([*self.techniques, None, *self.techniques, None]):
             packet = dr.gather(mi.Vector4f, self.array, lanes + dr.opaque(mi.UInt32, slot * self._pixels))
-            colour = mi.Color3f(packet.x, packet.y, packet.z)
+            colour = unpacked_sum(packet, self._packet)
             splats = slot == 2 * self._longer + 1 or (technique is not None and technique.t == 1 and technique.s > 0)
-            sums.append(np.array(dr.ravel(colour)).reshape(-1, 3) if splats else image(colour))
+            sums.append(np.array(dr.ravel(colour)).reshape(-1, len(colour)) if splats else image(colour))
         shape = sums[self._longer].shape
         sums[self._longer] = sums[self._longer] + sums.pop().reshape(shape)
         names = [technique.layer() for technique in self.techniques] + [LONGER]

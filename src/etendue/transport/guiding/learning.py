@@ -238,8 +238,10 @@ class LearnedConnections(Learned):
 
 
 def _block_means(image: NDArray[np.float32]) -> Array:
-    """Mean luminance of blocks of pixels."""
-    luminance = image.astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
+    """Mean luminance of blocks of pixels; of light at four wavelengths, their mean."""
+    channels = image.shape[2]
+    weights = np.array([0.2126, 0.7152, 0.0722]) if channels == 3 else np.full(channels, 1.0 / channels)
+    luminance = image.astype(np.float64) @ weights
     height, width = luminance.shape
     rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
     sums = np.add.reduceat(np.add.reduceat(luminance, rows, axis=0), columns, axis=1)
