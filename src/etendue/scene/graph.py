@@ -122,11 +122,11 @@ def without_literals(root: mi.Object) -> None:
 
 def shapes(scene: mi.Scene) -> list[mi.Shape]:
     """Every shape of a scene, those inside shape groups included."""
-    found = list(scene.shapes())
+    found = {id(shape): shape for shape in scene.shapes()}
     for _, child in contents(scene).objects:
-        if isinstance(child, mi.Shape) and child not in found:
-            found.extend(s for s in below(child) if isinstance(s, mi.Shape) and s not in found)
-    return found
+        if isinstance(child, mi.Shape) and id(child) not in found:
+            found |= {id(one): one for one in below(child) if isinstance(one, mi.Shape)}
+    return list(found.values())
 
 
 def materials(scene: mi.Scene) -> Iterator[mi.Object]:
