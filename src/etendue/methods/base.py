@@ -318,6 +318,8 @@ class ImageMethod(Method):
         for name in _OF_COLOURS if bands is not None else ():
             if getattr(self.settings, name):
                 raise OptionError(f"{name} has colours, which a 'specfilm' does not record; leave out {name}")
+        if bands is not None and self.settings.coverage and "A" in bands.names:
+            raise OptionError("coverage is the channel A, as is the band 'A' of the film; rename the band")
         return bands
 
     def bind(self, scene: mi.Scene | None) -> None:
