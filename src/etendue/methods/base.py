@@ -290,8 +290,8 @@ class ImageMethod(Method):
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
         self._still = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
         if self.settings.coverage or mi.has_flag(problem.sensor.film().flags(), mi.FilmFlags.Alpha):
-            self.take_wavelengths(0, seed)
-            self._still[0]["alpha"] = coverage(self.camera, self.visibility)
+            take = functools.partial(self.take_wavelengths, seed=seed)
+            self._still[0]["alpha"] = coverage(self.camera, self.visibility, take)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def _check_media(self, problem: Problem) -> None:
