@@ -107,8 +107,9 @@ def measure(
                     record.add(*label, *["failed"] * 5)
                     continue
                 later = statistics.median(found["passes"][1:])
-                own = own or later
-                cells = (f"{found['load']:.2f}", f"{found['first']:.2f}", f"{later:.2f}", f"{later / own:.2f}")
+                own = own if method else later
+                ratio = f"{later / own:.2f}" if own else ""  # none if Mitsuba failed
+                cells = (f"{found['load']:.2f}", f"{found['first']:.2f}", f"{later:.2f}", ratio)
                 record.add(*label, *cells, f"{found['bytes'] / 1e6:.0f}")
     record.notes.append(
         "CPU seconds; kernels not cached; load: with tables and pilots; pass: median of those after the first; memory: "

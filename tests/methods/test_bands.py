@@ -17,7 +17,7 @@ from support.tables import thinned
 
 import etendue
 from etendue import film, methods
-from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.core import OptionError, Result, SceneError, UnsupportedError
 from etendue.scene import load, resized
 
 METHODS = ("path", "light", "guided", "vegas", "stratified", "bpt", "bpm", "vcm", "sppm", "ppm", "pm", "auto")
@@ -190,9 +190,21 @@ def test_what_needs_colours_says_so_before_the_first_pass(arguments, error, text
     assert "\n" not in str(caught.value)
 
 
+def test_coverage_is_a_layer_beside_bands(tmp_path):
+    made = etendue.render(banded(still_life()), "path", spp=4, coverage=True)
+    film.write_exr(tmp_path / "a.exr", Result(made.layers, made.metadata))
+    film.write_layers(tmp_path / "b.exr", Result(made.layers, made.metadata))
+    alone = film.read_exr(tmp_path / "b-alpha.exr").image
+    for alpha in (film.read_exr(tmp_path / "a.exr").layers["alpha"], alone):
+        assert np.array_equal(alpha, made.layers["alpha"]) and 0.0 < alpha.mean() < 1.0
+    with pytest.raises(OptionError, match="rename the band"):
+        etendue.render(banded(still_life(), {"A": BANDS["box"]}), "path", spp=4, coverage=True)
+
+
 def test_a_picture_of_bands_is_not_read_as_one_of_colours(tmp_path):
     three = {name: BANDS[name] for name in ("violet", "middle", "box")}
-    etendue.render(banded(still_life(), three), "path", spp=1, save=tmp_path / "a.exr")
+    made = etendue.render(banded(still_life(), three), "path", spp=1, save=tmp_path / "a.exr")
+    assert "<img" not in made._repr_html_()
     with pytest.raises(OptionError, match="violet, middle, box"):
         film.read_image(tmp_path / "a.exr")
 

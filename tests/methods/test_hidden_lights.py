@@ -15,6 +15,7 @@ from support.statistics import assert_agree
 from support.tables import thinned
 
 import etendue
+from etendue import methods
 from etendue.core import UnsupportedError
 from etendue.products.patches import picture
 
@@ -111,3 +112,11 @@ def test_alpha_is_the_coverage_of_what_is_seen():
     alpha = np.array(mi.render(loaded, spp=1))[:, :, 3]
     assert alpha.mean() == pytest.approx(expected[:, :, 3].mean(), abs=0.005)
     np.testing.assert_allclose(alpha, expected[:, :, 3], atol=0.13)  # of 32 rays in a pixel
+
+
+@pytest.mark.parametrize("method", thinned(methods.names(), ("auto",)))
+def test_every_method_has_alpha(method):
+    scene = description()
+    del scene["sky"]
+    made = etendue.render(scene, method, spp=2, size=(8, 6), coverage=True, hide_emitters=True)
+    assert made.layers["alpha"].shape == (6, 8, 1) and 0.1 < made.layers["alpha"].mean() < 0.9

@@ -174,6 +174,17 @@ def test_layers():
     np.testing.assert_allclose(whole.mean((0, 1)), layers["image"].mean((0, 1)), rtol=1e-4)
 
 
+def test_alpha_of_coloured_fog_hardly_depends_on_the_seed():
+    """With the same four wavelengths for all rays, the standard deviation is 0.03."""
+    fog = {"type": "homogeneous", "sigma_t": rgb(0.05, 0.2, 0.9), "scale": 2.0, "albedo": 0.5}
+    camera = {"type": "perspective", "fov": 20, "to_world": transform().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])}
+    ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
+    problem = load({"type": "scene", "sensor": camera, "ball": ball, "sky": {"type": "constant"}}, size=(4, 4))
+    seeds = [prepared(problem, "path", seed, coverage=True, hide_emitters=True) for seed in range(6)]
+    alpha = [one.develop(one.step(0, 1)).layers["alpha"].mean() for one in seeds]
+    assert np.std(alpha) < 0.003 and 0.4 < np.mean(alpha) < 0.8
+
+
 @pytest.mark.parametrize("method", [name for name in methods.table() if not methods.get(name).spectral])
 def test_methods_that_render_in_rgb_only_say_so(method):
     with pytest.raises(UnsupportedError, match=rf"method '{method}' renders in RGB only, not under \w+_ad_spectral"):

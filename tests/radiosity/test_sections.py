@@ -127,7 +127,29 @@ def test_parts_are_strips():
     np.testing.assert_allclose(cast.matrix.toarray(), found.matrix.toarray(), atol=0.01)
 
 
+def near_the_same(noise, seed):
+    """A room with a box and a roof on it, whose ends differ by a little."""
+    generator = np.random.default_rng(seed)
+    walls = [(0, 0), (9, 0), (9, 6), (0, 6), (0, 0)]
+    ways = pairwise(walls), pairwise([(3, 0), (3, 2), (5, 2), (5, 0)]), pairwise([(3, 2), (4, 4), (5, 2)])
+    return prism(*(np.array(ends) + noise * generator.normal(size=(2, 2)) for way in ways for ends in way))
+
+
+@pytest.mark.parametrize("noise", [1e-9, 5e-9, 1e-8, 3e-8, 1e-7])
+def test_ends_that_are_nearly_the_same(noise):
+    found, expected = (exact_form_factors(near_the_same(scale, 1)) for scale in (noise, 0.0))
+    np.testing.assert_allclose(found.matrix.toarray(), expected.matrix.toarray(), atol=3 * noise)
+
+
+def test_edges_that_cross_within_rounding_are_refused():
+    with pytest.raises(RadiosityError, match="corners closer than 9e-08 are not told apart"):
+        exact_form_factors(near_the_same(1e-8, 54))
+
+
 def test_what_is_no_such_domain_is_refused():
+    strip = prism([(0, 0), (1, 0)], [(1, 1), (0, 1)])
+    with pytest.raises(RadiosityError, match="integrals cannot repeat a periodic domain"):
+        exact_form_factors(Patches(strip.vertices, strip.faces, periodic=(0, 2)))  # with a gap after each repetition
     vertices, faces = cube(1).vertices, cube(1).faces
     with pytest.raises(RadiosityError, match="integrals cannot repeat a periodic domain"):
         exact_form_factors(Patches(vertices, faces, periodic=(0, 1)))

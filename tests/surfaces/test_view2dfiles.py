@@ -52,6 +52,9 @@ def test_parts_and_combined_surfaces(tmp_path):
     parts = exact_form_factors(read(tmp_path, text))
     np.testing.assert_allclose(parts.areas, [3, 1, 4])
     assert parts.areas @ parts.matrix[:, [2]].toarray() == pytest.approx(4 * OPEN, abs=1e-13)
+    null = read(tmp_path, HEAD + FLOOR + "N 2 8 7 0 1 0\n" + CEILING.replace("S 2", "S 3") + END)
+    np.testing.assert_allclose(null.areas, [3, 4])
+    np.testing.assert_allclose(exact_form_factors(null).matrix[0, 1], parts.matrix[0, 2], atol=1e-13)
     joined = read(
         tmp_path, HEAD + "S 1 1 8 0 0 0 .9 floor\nS 2 8 2 0 0 1 .9 rest\n" + CEILING.replace("S 2", "S 3") + END
     )

@@ -177,7 +177,7 @@ def channel_names(
     suffixes: Sequence[str]
     if layer == ALPHA and count == 1:
         return ["A"]
-    if bands is not None:
+    if bands is not None and count == len(bands):  # coverage, in a file of its own, is no band
         suffixes = bands
     elif count == 1:
         suffixes = "Z" if layer in _DEPTH_LAYERS else "Y"

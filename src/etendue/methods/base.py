@@ -290,8 +290,8 @@ class ImageMethod(Method):
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
         self._still = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
         if self.settings.coverage or mi.has_flag(problem.sensor.film().flags(), mi.FilmFlags.Alpha):
-            self.take_wavelengths(0, seed)
-            self._still[0]["alpha"] = coverage(self.camera, self.visibility)
+            take = functools.partial(self.take_wavelengths, seed=seed)
+            self._still[0]["alpha"] = coverage(self.camera, self.visibility, take)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def _check_media(self, problem: Problem) -> None:
@@ -318,6 +318,8 @@ class ImageMethod(Method):
         for name in _OF_COLOURS if bands is not None else ():
             if getattr(self.settings, name):
                 raise OptionError(f"{name} has colours, which a 'specfilm' does not record; leave out {name}")
+        if bands is not None and self.settings.coverage and "A" in bands.names:
+            raise OptionError("coverage is the channel A, as is the band 'A' of the film; rename the band")
         return bands
 
     def bind(self, scene: mi.Scene | None) -> None:

@@ -55,6 +55,8 @@ def endless_faces(
         return None
     corners = vertices[faces]
     y = corners[..., 1]
+    if np.ptp(y) < (1 - _SAME) * period[1]:
+        return None  # a gap between the repetitions
     is_low, is_high = (np.abs(y - end) <= _SAME * period[1] for end in (y.min(), y.max()))
     first = np.argmax(is_low & np.roll(is_low, -1, axis=1), axis=1)
     order = (first[:, None] + np.arange(4)) % 4

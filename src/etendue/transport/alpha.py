@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -16,16 +18,20 @@ from .visibility import Visibility
 _RAYS, _PART = 32, 8
 
 
-def coverage(camera: CameraSampler, visibility: Visibility) -> NDArray[np.float32]:
+def coverage(
+    camera: CameraSampler, visibility: Visibility, take: Callable[[int], object] = lambda part: None
+) -> NDArray[np.float32]:
     """(height, width, 1): 1 - the transmittance of camera rays that end nowhere, by the film's filter. Masks, other
     null surfaces and media cover a pixel in part, glass and mirrors wholly. An environment covers all of it, unless
-    lights are hidden."""
+    lights are hidden. ``take`` takes the wavelengths of a part, from number 0 on, under a spectral variant: the result
+    is a mean over those of all parts."""
     shape = camera.height, camera.width, 1
     if visibility.scene.environment() is not None and not visibility.hides_lights:
         return np.ones(shape, np.float32)
     covered = mi.Float(0.0)
-    for part in range(0, _RAYS, _PART):
-        first = dr.opaque(mi.UInt32, part)
+    for part in range(_RAYS // _PART):
+        take(part)
+        first = dr.opaque(mi.UInt32, part * _PART)
         lanes = dr.arange(mi.UInt32, camera.pixels * _PART)
         pixel = lanes // _PART
         place = _place(first + (lanes - pixel * _PART))

@@ -129,10 +129,10 @@ class Auto(Carrying, ImageMethod):
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. The first pass with light paths prepares what only such passes need."""
         self._forget_states()
+        self._vcm: Vcm | None = None
         super().prepare(problem, seed)
         self.lights = through_openings(self, seed)
         self._seed = seed
-        self._vcm: Vcm | None = None
         self._vcm_state: State = {}
         self._choice = self.settings.choice
         if one_way(problem.scene) is not None:

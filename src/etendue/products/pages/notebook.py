@@ -13,6 +13,7 @@ import numpy as np
 
 from etendue.core import Array, Progress, describe, format_rate
 from etendue.display import Figure, card, false_colour, number_text, time_text, tonemap
+from etendue.film import BANDS
 
 from .meshviews import mesh_views, on_pixels, seen_patches
 
@@ -46,12 +47,12 @@ def _result(result: Any) -> str:
     if layers:
         more = f" and {len(layers) - _LAYERS} more" if len(layers) > _LAYERS else ""
         facts["layers"] = ", ".join(layers[:_LAYERS]) + more
-    return card(f"{known.get('method', 'picture')}, {width} × {height}", facts, _figures(image, "picture"))
+    return card(f"{known.get('method', 'picture')}, {width} × {height}", facts, _figures(image, "picture", known))
 
 
-def _figures(image: Any, alt: str) -> list[Figure]:
-    """The picture; none of one whose channels are bands, not colours."""
-    return [Figure(tonemap(image, "auto"), alt, "")] if image.shape[2] == 3 else []
+def _figures(image: Any, alt: str, known: Mapping[str, Any]) -> list[Figure]:
+    """The picture; none of one whose channels are bands, not colours, as the metadata ``known`` say."""
+    return [Figure(tonemap(image, "auto"), alt, "")] if image.shape[2] == 3 and BANDS not in known else []
 
 
 def _of_run(known: Mapping[str, Any]) -> dict[str, Any]:
@@ -78,7 +79,7 @@ def _session(session: Any) -> str:
         html = html_of(result)
         return html if html is not None else card("Session", {}, status=f"done: {result!r}")
     image = session.image
-    figures = [] if image is None else _figures(image, "the picture so far")
+    figures = [] if image is None else _figures(image, "the picture so far", {})
     return card("Session", {}, figures, **_progress(session.progress, session.prepared))
 
 

@@ -21,8 +21,8 @@ from etendue.surfaces import Patches
 _PATIENCE = 10.0
 #: The least time that is told.
 _LEAST = 0.1
-#: Bundles by which the time of lines is estimated.
-_BUNDLES = 32
+#: Bundles by which the time of lines is estimated, and most lines of one.
+_BUNDLES, _MOST_LINES = 32, 1 << 18
 
 
 def choose(patches: Patches, error: float | None) -> tuple[bool, str]:
@@ -43,7 +43,8 @@ def _seconds_of_lines(patches: Patches, error: float) -> float:
     """The time of the lines that an error needs, by that of some of their bundles."""
     split = split_for(patches, error)
     points = SpiralPoints(0, _BUNDLES if split is None else split.bundles)
-    engine = ABuffer(patches, points, None if split is None else split.lines)
+    cast_lines = None if split is None else min(split.lines, _MOST_LINES)
+    engine = ABuffer(patches, points, cast_lines)
     engine.cast(1, warn=False)  # loads or compiles
     began = time.perf_counter()
     lines = engine.cast(_BUNDLES, warn=False)
@@ -51,5 +52,7 @@ def _seconds_of_lines(patches: Patches, error: float) -> float:
     rows = form_factors(with_local_rays(lines)).row_errors().mean()
     counted = time.perf_counter() - cast
     # Too few surfaces in a large space: rays are cast instead, and their number grows as that of lines.
-    bundles = split.bundles if split is not None else _BUNDLES * float(rows / error) ** 2
+    bundles = _BUNDLES * float(rows / error) ** 2
+    if split is not None and cast_lines is not None:
+        bundles = split.bundles * split.lines / cast_lines
     return (cast - began) * max(bundles, 1) / _BUNDLES + counted

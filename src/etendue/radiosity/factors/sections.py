@@ -18,8 +18,11 @@ from .formfactors import FormFactors, numbers_of
 
 Index = NDArray[np.int64]
 
-#: Points closer than this, in sizes of the section, are one; exchanges below are none; ends of a run.
-_SAME, _NONE, _RUN = 1e-9, 1e-13, 16
+#: Points closer than this, in sizes of the section, are one; edges below may be of two neighbours whose ends are just
+#: further apart; exchanges below are none; ends of a run.
+_SAME, _SHORT, _NONE, _RUN = 1e-9, 1e-8, 1e-13, 16
+#: The length, in sizes of the section, by which the exchange of a patch may differ from its own.
+_BALANCE = 1e-6
 #: Bytes for each pair of patches.
 _BYTES = 40
 
@@ -61,7 +64,8 @@ class Section:
         return cls(patches, points, edges, sides, touching, size, patches.period[1])
 
     def form_factors(self) -> FormFactors:
-        """Without error but rounding, below 1e-10 of the sum of a row."""
+        """Without error but rounding, below 1e-10 of the sum of a row. Raises :class:`RadiosityError` if points are so
+        close that edges cross."""
         patches, n = self.patches, len(self.patches)
         exchange = self._room()
         self._add(0, len(self.points), exchange)
@@ -69,6 +73,12 @@ class Section:
         np.add.at(exchange, (i, j), self.touching[:, 2])
         both = exchange + exchange.T
         both = np.where(both < _NONE, 0.0, both) * self.size * self.length
+        off = np.abs(both[:n].sum(axis=1) - patches.areas)
+        if off.max() > _BALANCE * self.size * self.length:
+            raise RadiosityError(
+                f"what patch {off.argmax()} exchanges is not its area: corners closer than {_SHORT * self.size:.2g} "
+                "are not told apart; merge them, or cast lines (method lines)"
+            )
         shares = both[:n] / patches.divisors[:, None]
         matrix, dark, sky = sparse().csr_array(shares[:, :n]), shares[:, n], shares[:, n + 1]
         warn_of_backs(float(dark @ patches.areas / patches.areas.sum()), "of what patches see is")
@@ -148,11 +158,14 @@ def _merged(patches: Patches, points: Array, edges: Index, sides: Index, of: Ind
     sides = np.where(turned[:, None], sides[:, ::-1], sides)
     places, which = np.unique(edges, axis=0, return_inverse=True)
     merged, owner = np.full((len(places), 2), n), np.full((len(places), 2), -1)
+    lengths = np.linalg.norm(points[places[:, 1]] - points[places[:, 0]], axis=1)
     for k, place in enumerate(which.reshape(-1)):
         for side in range(2):
             if sides[k, side] == n:
                 continue
             if merged[place, side] < n:
+                if lengths[place] < _SHORT:
+                    continue
                 raise RadiosityError(
                     f"faces {patches.numbers[owner[place, side]]} and {patches.numbers[of[k]]} lie on each other and "
                     "face the same way: remove one, or cut what it covers"
@@ -162,7 +175,7 @@ def _merged(patches: Patches, points: Array, edges: Index, sides: Index, of: Ind
     around, touching = _Regions(points, places), []
     for k in np.flatnonzero(double).tolist():
         if all(around.is_solid(k, side, merged == n, double) for side in range(2)):
-            touching.append((*merged[k], np.linalg.norm(np.diff(points[places[k]], axis=0))))
+            touching.append((*merged[k], lengths[k]))
             merged[k] = n
     return np.ascontiguousarray(places), merged, np.array(touching).reshape(-1, 3)
 

@@ -22,7 +22,7 @@ from .abuffer import wanted_lines
 from .generators import Bundles
 from .periodic import PeriodicBundles
 
-#: b / 4a, and the fewest directions, as many as runs to an error have at least.
+#: b / 4a, and the fewest directions, as many as runs to an error have at least: more would be those of other spirals.
 _RATIO, _LEAST = 0.07, 128
 
 
@@ -54,4 +54,4 @@ def split_for(patches: Patches, error: float) -> Split | None:
     needed = float(np.mean(1 / np.sqrt(hits)) / error) ** 2
     factor = min((_RATIO * needed * mean) ** 0.4 / mean, most / usual, needed / _LEAST)
     factor = max(factor, 1.0)
-    return Split(usual * factor, max(int(np.ceil(needed / factor)), 1), mean * factor)
+    return Split(usual * factor, max(int(np.ceil(needed / factor)), _LEAST), mean * factor)

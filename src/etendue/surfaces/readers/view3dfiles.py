@@ -55,10 +55,11 @@ def _cut_along(path: Path, base: Surface) -> list[Surface]:
     a, b = base.outline[0], base.outline[1]
     along = (b - a) / np.linalg.norm(b - a)
     places = [0.0]
-    for inner in sorted(base.inside, key=lambda surface: float((surface.outline[0] - a) @ along)):
+    for inner in sorted(base.inside, key=lambda surface: float(((surface.outline - a) @ along).min())):
         ends = (inner.outline[:2] - a) @ along
         off = np.linalg.norm(inner.outline[:2] - a - ends[:, None] * along, axis=1).max()
         slack = _SAME * np.linalg.norm(b - a)
+        ends.sort()  # a null surface faces its base
         if off > slack or ends[0] < places[-1] - slack or ends[1] > np.linalg.norm(b - a) + slack:
             raise PatchError(
                 f"{path}, {inner.where}: '{inner.name}' in '{base.name}' is not in its line, or not apart from others"
