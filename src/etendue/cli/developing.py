@@ -78,7 +78,7 @@ def develop(
             raise OptionError(f"'{path}' is the input, which is not changed; name another file by -o")
     check_files(outputs)
     read = film.read_exr(picture)
-    film.require_colours(read.metadata, f"'{picture}'")
+    film.refuse_bands(read.metadata, f"'{picture}'")
     if filters:
         from .running import choose_device
 

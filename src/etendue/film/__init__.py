@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         layer_path as layer_path,
         read_exr as read_exr,
         read_image as read_image,
-        require_colours as require_colours,
+        refuse_bands as refuse_bands,
         write_exr as write_exr,
         write_layers as write_layers,
     )

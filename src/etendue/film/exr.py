@@ -139,7 +139,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     _check_readable(path)
     if _is_exr(path):
         read = read_exr(path)
-        require_colours(read.metadata, f"'{path}'")
+        refuse_bands(read.metadata, f"'{path}'")
         layers = read.layers
         pixels = layers.get("image")
         if pixels is None:
@@ -159,7 +159,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     return np.ascontiguousarray(pixels[:, :, :3], dtype=np.float32)
 
 
-def require_colours(metadata: Mapping[str, Any], what: str) -> None:
+def refuse_bands(metadata: Mapping[str, Any], what: str) -> None:
     """Raise :class:`OptionError` if the channels of a picture are bands of wavelengths. ``what``: the picture, in
     messages."""
     if (bands := metadata.get(BANDS)) is not None:

@@ -115,7 +115,7 @@ class Picture(Product[Rendering]):
         """See :class:`Product`. Raises :class:`OptionError` for a ``.png`` of bands of wavelengths."""
         for path in self.pictures:
             if path.suffix.lower() != ".exr" and (bands := band_names(problem.sensor.film())):
-                film.require_colours({film.BANDS: bands}, f"'{path}'")
+                film.refuse_bands({film.BANDS: bands}, f"'{path}'")
 
     def default_budget(self, task: Task, problem: Problem) -> Budget:
         """The scene's own sample count."""
@@ -250,7 +250,7 @@ def save_result(
     elif path.suffix.lower() == ".exr":
         film.write_exr(path, result)
     else:
-        film.require_colours(result.metadata, f"'{path}'")
+        film.refuse_bands(result.metadata, f"'{path}'")
         display.write_png(path, display.tonemap(result.image, exposure, tone, result.layers.get(film.ALPHA)))
 
 
