@@ -184,6 +184,9 @@ def folder(tmp_path_factory, variant):
     )
     (path / "building.idf").write_text(as_idf(energyplus(shift=1.0)).replace("Z1", "Office"))
     (path / "conditions.csv").write_text("group,temperature,flux\nfloor,310,\n*,,adiabatic\n")
+    (path / "furnace.csv").write_text("name,r1,z1,r2,z2\nheater,0,0,1,0\nmelt,1,0,0,1\n")
+    (path / "melting.csv").write_text("group,temperature\nheater,1500\nmelt,1100\n")
+    etendue.compute_form_factors(path / "furnace.csv", "exact", save=path / "furnace.npz")
     (path / "hours.csv").write_text("hour,floor:temperature\n9:00,300\n10:00,310\n")
     etendue.solve_heat(path / "room.obj", path / "conditions.csv", bundles=8, save=path / "heat.npz")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]

@@ -16,6 +16,7 @@ from .coincident import Coincident
 from .errors import PatchError
 from .faces import face_vectors, flat_faces
 from .periods import checked_period, endless_faces
+from .revolution import Rings, checked_profile, revolved
 from .subdivision import subdivide
 
 Index = NDArray[np.int64]
@@ -56,6 +57,7 @@ class Patches(InNotebooks):
     obstacles: indices of faces that only occlude: neither side belongs to a patch, and both are as dark as a back.
     periodic: the lengths (Lx, Ly) of a domain that is repeated without end along x and y, 0 for no repetition; z is up.
         The faces are those of one period. What leaves it at a side enters it at the opposite side, at the same height.
+    rings: the rings that the faces stand for, see :meth:`revolved`; areas are theirs.
 
     Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
     out of range, a reflectance outside [0, 1], a negative emission, faces that exceed the period.
@@ -76,6 +78,7 @@ class Patches(InNotebooks):
     zones: (n,) the zone of a building that each patch faces, of files of zones; ``None`` if there are none.
     period: the lengths of ``periodic``, ``None`` if there is no repetition.
     files: names of the mesh files of the patches, and the number of the first face of each.
+    rings: of surfaces of revolution; ``None`` for others.
     """
 
     shapes: Index | None = None
@@ -83,6 +86,7 @@ class Patches(InNotebooks):
     zones: NDArray[np.str_] | None = None
     period: tuple[float, float] | None = None
     files: tuple[tuple[str, int], ...] = ()
+    rings: Rings | None = None
 
     def __init__(
         self,
@@ -98,6 +102,7 @@ class Patches(InNotebooks):
         numbers: ArrayLike | None = None,
         obstacles: ArrayLike = (),
         periodic: Sequence[float] | None = None,
+        rings: Rings | None = None,
     ) -> None:
         self.vertices: Array = _vertices(vertices)
         quads, rows = flat_faces(self.vertices, faces)
@@ -113,6 +118,10 @@ class Patches(InNotebooks):
         kept = ~np.isin(rows, np.asarray(left_out, dtype=np.int64))
         self.faces, rows = quads[kept], rows[kept]
         self.face_areas, self.face_normals = _faces_with_area(self.vertices, self.faces, rows)
+        if rings is not None:
+            self.rings = Rings(rings.profile, rings.of[rows])
+            flat = np.bincount(self.rings.of, self.face_areas, len(rings.profile))
+            self.face_areas = self.face_areas * (rings.areas / np.where(flat > 0, flat, 1.0))[self.rings.of]
         self.numbers: Index = number[rows]
         self.front: Index = patch[rows]
         fronts = len(self.labels)
@@ -129,6 +138,19 @@ class Patches(InNotebooks):
         self._set_properties(reflectance, emission, sky)
         if periodic is not None:
             self.period = checked_period(periodic, *self.bounds)
+
+    @classmethod
+    def revolved(cls, profile: ArrayLike, **properties: Any) -> Patches:
+        """Surfaces of revolution about z: ring k, a patch, has the ends r, z and r, z of ``profile[k]``, (k, 4).
+
+        The front is to the left of the way from the first end to the second, with r to the right and z up. Exact form
+        factors are those of round rings, and so are areas; faces, which lines and rays meet, are those of polygons with
+        64 corners. properties: ``reflectance``, ``emission``, ``two_sided`` and ``sky``. Raises :class:`PatchError` for
+        radii below zero, rings without area, and rings that lie on each other.
+        """
+        ends = checked_profile(profile)
+        vertices, faces, of = revolved(ends)
+        return cls(vertices, faces, ids=of, numbers=of, rings=Rings(ends, of), **properties)
 
     def _set_properties(self, reflectance: ArrayLike, emission: ArrayLike, sky: ArrayLike) -> None:
         rho = np.where(self.empty[:, None], 0.0, self._spread("reflectance", reflectance, backs=1.0))
@@ -190,6 +212,8 @@ class Patches(InNotebooks):
             known["zones"] = self.zones
         if self.period is not None:
             known["period"] = np.array(self.period)
+        if self.rings is not None:
+            known["profile"], known["ring"] = self.rings.profile, self.rings.of
         if self.files:
             known["files"] = np.array([name for name, _ in self.files])
             known["firsts"] = np.array([first for _, first in self.files])
@@ -207,6 +231,8 @@ class Patches(InNotebooks):
         patches.zones = arrays.get("zones")
         if "period" in arrays:
             patches.period = float(arrays["period"][0]), float(arrays["period"][1])
+        if "profile" in arrays:
+            patches.rings = Rings(arrays["profile"], arrays["ring"])
         if "files" in arrays:
             patches.files = tuple(zip(arrays["files"].tolist(), arrays["firsts"].tolist(), strict=True))
         return patches
@@ -314,8 +340,9 @@ class Patches(InNotebooks):
         """The same surfaces in patches of at most ``max_area``: each larger face is divided into equal parts.
 
         Every resulting face is a patch, and keeps reflectance and emission; ``labels`` and ``face`` are those of the
-        original patches and faces. Surfaces without end along y become strips. grouped: the parts stay in their patches
-        instead. Raises :class:`PatchError` for an area that is not positive, and for more faces than memory can hold.
+        original patches and faces. Surfaces without end along y become strips, rings become rings. grouped: the parts
+        stay in their patches instead. Raises :class:`PatchError` for an area that is not positive, and for more faces
+        than memory can hold.
         """
         if not np.isfinite(max_area) or max_area <= 0:
             raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
@@ -325,6 +352,8 @@ class Patches(InNotebooks):
                 f"faces of at most {max_area:g} would be {count:.2g} or more and need {_BYTES * count / 1e9:.3g} GB; "
                 f"{free / 1e9:.1f} GB are free: allow larger ones"
             )
+        if self.rings is not None:
+            return self._divided_rings(self.rings, max_area, grouped)
         strips = endless_faces(self.vertices, self.faces, self.period)
         whole = self.faces if strips is None else strips
         vertices, faces, source = subdivide(self.vertices, whole, max_area, strips is not None)
@@ -347,6 +376,27 @@ class Patches(InNotebooks):
             left_out=np.flatnonzero(order >= len(source)),
             numbers=number[order],
             obstacles=np.flatnonzero(front < 0),
+        )
+        result._name_as(self, sides)
+        return result
+
+    def _divided_rings(self, rings: Rings, max_area: float, grouped: bool) -> Patches:
+        profile, source = rings.divided(max_area)
+        vertices, faces, of = revolved(profile)
+        face = np.unique(rings.of, return_index=True)[1][source]
+        front = self.front[face]
+        back = self.other_side[front]
+        sides = np.arange(len(self)) if grouped else np.concatenate([front, back[back >= 0]])
+        result = Patches(
+            vertices,
+            faces,
+            reflectance=self.reflectance[sides],
+            emission=self.emission[sides],
+            ids=front[of] if grouped else of,
+            two_sided=self.other_side[: self._fronts] >= 0 if grouped else back >= 0,
+            sky=self.sky,
+            numbers=self.numbers[face][of],
+            rings=Rings(profile, of),
         )
         result._name_as(self, sides)
         return result
@@ -392,6 +442,7 @@ class Patches(InNotebooks):
             sky=self.sky,
             numbers=self.numbers[faces],
             obstacles=np.flatnonzero(self.front[faces] < 0),
+            rings=None if self.rings is None else self.rings.some(faces),
         )
         result._name_as(self, numbers)
         if result.shapes is not None:  # without those of which no patch is chosen

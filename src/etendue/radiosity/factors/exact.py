@@ -19,6 +19,7 @@ from ..compiling import compiled
 from ..errors import RadiosityError, check_no_period
 from ..lines.abuffer import ABuffer
 from ..lines.engine import warn_of_backs
+from .bodies import Body
 from .contacts import Contacts, quadrilaterals, refusal
 from .formfactors import FormFactors, numbers_of
 from .occluders import Index, Occluders, occluders
@@ -70,9 +71,16 @@ def exact_form_factors(
     one end to the other of a domain that repeats along y only, and the lines that join segments of its section are
     integrated in closed form [Orti 1996], which without occlusion is Hottel's rule of crossed strings [Hottel 1954].
     Other periodic domains are refused.
+
+    Of surfaces of revolution (:meth:`Patches.revolved`), the form factors are those of round rings: in the angle
+    between two points, what rings hide is found and the rest integrated in closed form; integrals along the profiles
+    are adaptive. The sky is integrated, too, and a warning tells if a row does not sum to 1.
     """
     if (section := Section.of(patches)) is not None:
         return section.form_factors()
+    if (body := Body.of(patches)) is not None:
+        _check_tolerance(tolerance)
+        return body.form_factors(tolerance, tell)
     pairs, n = _pairs(patches, tolerance), len(patches)
     exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
     tasks = _tasks(pairs.sides.patch, n)
@@ -101,6 +109,9 @@ def exact_seconds(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> float
     """The time that :func:`exact_form_factors` is going to take, from that of some pairs. Raises as it does."""
     if (section := Section.of(patches)) is not None:
         return section.seconds()
+    if (body := Body.of(patches)) is not None:
+        _check_tolerance(tolerance)
+        return body.seconds(tolerance)
     pairs, n = _pairs(patches, tolerance), len(patches)
     total = len(pairs.sides.patch)
     exchange, errors = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
@@ -138,10 +149,14 @@ class _Pairs:
             )
 
 
-def _pairs(patches: Patches, tolerance: float) -> _Pairs:
-    """Check what can be checked beforehand. Raises :class:`RadiosityError`."""
+def _check_tolerance(tolerance: float) -> None:
     if not 0 < tolerance < 1:
         raise RadiosityError(f"the tolerance of form factors is above 0 and below 1, not {tolerance!r}")
+
+
+def _pairs(patches: Patches, tolerance: float) -> _Pairs:
+    """Check what can be checked beforehand. Raises :class:`RadiosityError`."""
+    _check_tolerance(tolerance)
     check_no_period(patches, "integrals")
     n, loops, rules = len(patches), compiled("factors.exchange"), compiled("factors.distant")
     need, free = _BYTES * (n + 1) ** 2, free_memory()

@@ -59,7 +59,7 @@ class Section:
         begin, end = (np.where(turned[:, None], b, a) for a, b in ((begin, end), (end, begin)))
         sides = np.stack([patches.front, patches.back], axis=1)
         middle = (flat.min(axis=(0, 1)) + flat.max(axis=(0, 1))) / 2
-        points, edges, of = _pieces((begin - middle) / size, (end - middle) / size)
+        points, edges, of = pieces((begin - middle) / size, (end - middle) / size)
         edges, sides, touching = _merged(patches, points, edges, np.where(sides < 0, n, sides)[of], of)
         return cls(patches, points, edges, sides, touching, size, patches.period[1])
 
@@ -110,7 +110,7 @@ class Section:
         return np.zeros((n, n))
 
 
-def _pieces(begin: Array, end: Array) -> tuple[Array, Index, Index]:
+def pieces(begin: Array, end: Array) -> tuple[Array, Index, Index]:
     """Points (v, 2), and the segments between them (e, 2) that given ones (k, 2) consist of, with the number of each:
     segments are divided where others cross them or end on them."""
     crossings = [_crossings(k, begin, end) for k in range(len(begin))]

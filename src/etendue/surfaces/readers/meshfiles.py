@@ -1,5 +1,5 @@
 """Patches from mesh files, read by meshio (PLY, STL, VTK, VTU, VTP, Gmsh and more), trimesh (glTF and more), or here
-(OBJ, OFF, View3D, EnergyPlus, CityJSON, Honeybee, Radiance)."""
+(OBJ, OFF, View3D, EnergyPlus, CityJSON, Honeybee, Radiance, profiles)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ from ..faces import face_vectors, flat_faces, named_faces, repeated
 from ..heat import thermal
 from ..orienting import orientation, turned
 from ..patches import Patches, warn_of_rounded
+from ..revolution import Rings
 from ..zones import zone_names
 from .buildingfiles import read_building
 from .joining import ZONES, joined_files
 from .polygons import cut_polygons, grid_of_polydata, polygons_of, read_obj, read_off, stl_solids
+from .profilefiles import read_profile
 from .radfiles import read_rad
 from .surfacefiles import MeshFile
 from .view3dfiles import read_vs2, read_vs3
@@ -40,6 +42,7 @@ _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 _OWN, _VTK = (".off", ".obj"), (".vtk", ".vtp")
 #: Readers of files of named surfaces.
 _SURFACES = {
+    ".csv": read_profile,
     ".vs2": read_vs2,
     ".vs3": read_vs3,
     ".rad": read_rad,
@@ -87,6 +90,9 @@ def read_patches(
         are their names, if the file has some.
     periodic: see :class:`Patches`. Surfaces of the plane (``.vs2``) go on along y without end anyway.
 
+    A ``.csv`` has the profile of surfaces of revolution (:meth:`Patches.revolved`), with the columns ``name``, ``r1``,
+    ``z1``, ``r2``, ``z2`` and, if known, ``emissivity`` and ``temperature``; it takes no further files.
+
     Reads polygons and ignores lines and solids; polygons of more than four corners become triangles of one patch. Faces
     without area and duplicates are left out with a warning; their patches keep their rows, see ``left_out`` of
     :class:`Patches`. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of
@@ -106,6 +112,12 @@ def read_patches(
                 "%s: its %ss are not kept beside a further file that has none: give that as an obstacle (--obstacles), "
                 "or surfaces of all see each other through gaps",
                 *(path, lost[0]),
+            )
+    for name in (path, *more, *obstacles) if more or obstacles or orient or periodic is not None else ():
+        if Path(name).suffix.lower() == ".csv":
+            raise PatchError(
+                f"{name} is the profile of surfaces of revolution, with its fronts to the left of the way along it: it "
+                "takes no further files, no period and no orientation"
             )
     periodic = _period(path, [*(file for _, file in files), *hidden], periodic)
     vertices, faces, rows, cells = mesh.points, mesh.faces, mesh.rows, mesh.cells
@@ -157,6 +169,7 @@ def read_patches(
         left_out=left_out,
         obstacles=np.flatnonzero(np.isin(rows, mesh.obstacles)),
         periodic=periodic,
+        rings=None if mesh.profile is None else Rings(mesh.profile, rows),
     )
     firsts = np.cumsum([0, *(int(m.rows[-1]) + 1 if len(m.rows) else 0 for _, m in files[:-1])])
     patches.files = tuple((name, int(first)) for (name, _), first in zip(files, firsts, strict=True))

@@ -28,7 +28,7 @@ class MeshFile:
     its last index. rows: (f,). cells: arrays with an entry for each row, by name. names: of such arrays of numbers, the
     names of the numbers. ids: (rows,) the patch of each row, if it is not a patch of its own. obstacles: rows that only
     occlude. own: values of rows that the format defines, by their names in :class:`Patches`. period: of a domain that
-    the format repeats without end, see :class:`Patches`.
+    the format repeats without end, see :class:`Patches`. profile: (rows, 4) of rings, see :meth:`Patches.revolved`.
     """
 
     points: Array
@@ -40,6 +40,7 @@ class MeshFile:
     obstacles: Index = field(default_factory=lambda: np.zeros(0, np.int64))
     own: Mapping[str, Array] = field(default_factory=dict)
     period: tuple[float, float] | None = None
+    profile: Array | None = None
 
 
 @dataclass(kw_only=True)
