@@ -132,6 +132,7 @@ def test_parts_of_a_picture_have_the_bands_and_add_up(setting):
     assert sum(parts.values()) == pytest.approx(made.image, rel=1e-3, abs=1e-4 * float(made.image.max()))
 
 
+@pytest.mark.usefixtures("mitsuba_files")
 def test_a_file_has_the_bands_by_name_and_in_order(tmp_path):
     made = etendue.render(banded(still_life()), "path", spp=8, components=True, save=tmp_path / "a.exr")
     channels = dict(mi.Bitmap(str(tmp_path / "a.exr")).split())
