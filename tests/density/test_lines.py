@@ -155,12 +155,13 @@ def test_few_lines_are_refused():
 
 def test_another_density_needs_no_new_kernel():
     def kernels(density: LineDensity) -> set[str]:
+        # Made anew: a loop leaves literals of its arguments as variables, which is another kernel.
+        o, d = mi.Point3f(dr.opaque(mi.Float, 0.0, 101)), mi.Vector3f(dr.opaque(mi.Float, 0.6, 101), 0.0, 0.8)
         dr.kernel_history_clear()
         dr.eval(density.along(o, d, mi.Bool(True)))
         of_lines = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT and one["size"] == 101]
         return {one["hash"] for one in of_lines}
 
-    o, d = mi.Point3f(dr.opaque(mi.Float, 0.0, 101)), mi.Vector3f(dr.opaque(mi.Float, 0.6, 101), 0.0, 0.8)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         first = kernels(LineDensity(cells(1)))
         assert first and kernels(LineDensity(cells(2, (3, 7, 4)))) == first
