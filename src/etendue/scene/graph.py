@@ -116,8 +116,10 @@ def below(item: mi.Object) -> Iterator[mi.Object]:
 def without_literals(root: mi.Object) -> None:
     """Make the numbers of ``root`` and of all below it variables of the device. Mitsuba leaves some as literals, such
     as the transformation of a rectangle: each value would need kernels of its own, also for reading it."""
-    values = [value for item in below(root) for _, value in contents(item).values]
-    dr.make_opaque([v for v in values if isinstance(v, dr.ArrayBase) or "Transform" in type(v).__name__])
+    for item in below(root):
+        for _, value in contents(item).values:
+            if isinstance(value, dr.ArrayBase) or "Transform" in type(value).__name__:
+                dr.make_opaque(value)  # each by itself: a kernel of thousands of numbers compiles for half a minute
 
 
 def shapes(scene: mi.Scene) -> list[mi.Shape]:
