@@ -34,7 +34,7 @@ from etendue.core import (
     setting,
     uses_cuda,
 )
-from etendue.film import BANDS, COMPONENTS, variance_of
+from etendue.film import ALPHA, BANDS, COMPONENTS, variance_of
 from etendue.points import OwenSobolSource
 from etendue.scene import (
     LEAST_WHITE,
@@ -291,7 +291,7 @@ class ImageMethod(Method):
         self._still = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
         if self.settings.coverage or mi.has_flag(problem.sensor.film().flags(), mi.FilmFlags.Alpha):
             take = functools.partial(self.take_wavelengths, seed=seed)
-            self._still[0]["alpha"] = coverage(self.camera, self.visibility, take)
+            self._still[0][ALPHA] = coverage(self.camera, self.visibility, take)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def _check_media(self, problem: Problem) -> None:

@@ -110,8 +110,6 @@ class Group:
 
 def concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
     """Colours of several groups of lanes as one array."""
-    return (
-        colours[0]
-        if len(colours) == 1
-        else type(colours[0])(*(dr.concat(list(each)) for each in zip(*colours, strict=True)))
-    )
+    if len(colours) == 1:
+        return colours[0]
+    return type(colours[0])(*(dr.concat(list(each)) for each in zip(*colours, strict=True)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Method, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import Budget, RunError, Runner, RunResult
-from etendue.film import BANDS, COMPONENTS, LONGER, Technique, is_variance
+from etendue.film import ALPHA, BANDS, COMPONENTS, LONGER, Technique, is_variance
 from etendue.methods import ImageMethod, warn_of_bands
 from etendue.scene import Problem
 
@@ -216,7 +216,7 @@ def _fill(film: mi.Film, layers: dict[str, NDArray[np.float32]], extra: list[str
     image = layers["image"]
     channels = [image]
     if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
-        channels.append(layers["alpha"])
+        channels.append(layers[ALPHA])
     weight = np.ones((*image.shape[:2], 1), np.float32)  # by which the film divides
     more = [layers[name] for name in extra]
     channels += [weight, *more] if bands is None else [*more, weight]

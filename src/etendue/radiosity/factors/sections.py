@@ -32,7 +32,8 @@ class Section:
     """The section of patches that go on without end along y, as segments that meet in their ends only.
 
     points: (v, 2) x and z, from the middle, in units of ``size``. edges: (e, 2). sides: (e, 2) the patches to the left
-    and to the right, n for backs and obstacles. length: of the period.
+    and to the right, n for backs and obstacles. touching: (c, 3) two patches in contact and their length. length:
+    of the period.
     """
 
     patches: Patches
