@@ -135,10 +135,10 @@ def view_factors(options: dict[str, Any]) -> dict[str, Any]:
         patches = room(cells)
         if tolerance:
             factors = exact_form_factors(patches, tolerance)
-            gathered = factors.matrix @ smooth_radiosity(patches)
+            gathered = factors.matrix @ smooth_radiosity(patches.centres)
         else:
             factors = ABuffer(patches, lines=options["lines"]).cast(bundles)
-            gathered = factors.gather(smooth_radiosity(patches))
+            gathered = factors.gather(smooth_radiosity(patches.centres))
         if bundles == 1:
             solve(patches, factors, "conjugate-gradient", tolerance=1e-4)
         clock.append(time.process_time())

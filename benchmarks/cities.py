@@ -65,7 +65,7 @@ def measure(
     exact_form_factors(city(1))
     for count in blocks:
         patches = city(count)
-        radiosity, n = smooth_radiosity(patches), str(len(patches))
+        radiosity, n = smooth_radiosity(patches.centres), str(len(patches))
         runs = [(bundles, _LINES), (round(_TIMES * bundles), _MORE_LINES)]
         for number, lines in runs if len(patches) in _ERROR_BARS else runs[:1]:
             found: list[tuple[np.ndarray, np.ndarray]] = []

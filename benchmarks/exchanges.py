@@ -34,9 +34,9 @@ def room(cells: int) -> Patches:
     return patches.with_properties(reflectance=0.7, emission=lamp.astype(float))
 
 
-def smooth_radiosity(patches: Patches) -> np.ndarray:
-    """J, the radiosity whose irradiance is judged."""
-    x, y, z = patches.centres.T
+def smooth_radiosity(centres: np.ndarray) -> np.ndarray:
+    """J at ``centres`` (n, 3) in a unit cube, the radiosity whose irradiance is judged."""
+    x, y, z = centres.T
     return np.exp(2 * x) * (1 + 0.5 * np.sin(7 * y + 5 * z))
 
 
@@ -73,7 +73,7 @@ def measure(
         ABuffer(room(1), backend=backend).cast(1).gather(np.ones(len(room(1))))  # compiles
     for cells, backend in itertools.product(sizes, backends):
         patches = room(cells)
-        radiosity = smooth_radiosity(patches)
+        radiosity = smooth_radiosity(patches.centres)
         gathered = []
         for seed in range(2):
             engine, found = ABuffer(patches, SpiralPoints(seed, bundles), lines, backend), list[Segments]()

@@ -105,6 +105,7 @@ PROGRAMS = {
                 Benchmark("density", "densities.measure", 1, "Density estimates in the plane, beside gaussian_kde."),
                 Benchmark("radiosity", "exchanges.measure", 2, "Segments of global lines: cast, replayed and solved."),
                 Benchmark("view-factors", "view_factors.measure", 5, "View factors, beside pyViewFactor and View3D."),
+                Benchmark("exact-factors", "exact_factors.measure", 1, "Exact form factors of meshes, beside View3D."),
                 Benchmark("cities", "cities.measure", 5, "Form factors of cities of 24 to 100,000 facets."),
             ),
         ),

@@ -4,16 +4,12 @@ Each program computes all view factors F in a process of its own, and from them 
 the radiosities of a room that reflects 0.7 and has a small lamp. Errors are relative for each patch, root mean square.
 
 pyViewFactor is asked for with ``--peer-python``, a Python that has it (``pip install pyviewfactor==1.1.0`` in an
-environment of its own); View3D with ``--view3d``, its program (https://github.com/jasondegraw/View3D, built by
-``cmake -DCMAKE_BUILD_TYPE=Release``: plain ``make`` does not optimise, and its program takes more than twice the time).
+environment of its own); View3D with ``--view3d``: see :mod:`peer_view3d`.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import resource
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -25,6 +21,7 @@ import typer
 
 from etendue.radiosity import ABuffer, Patches, SpiralPoints, solve
 
+from . import peer_view3d
 from .exchanges import room, smooth_radiosity
 from .measuring import Record, child, verdict
 from .options import Bundles, Cells
@@ -59,7 +56,7 @@ def measure(
     peer_python: Annotated[
         str | None, typer.Option(help="A Python that has pyViewFactor 1.1.0.", metavar="PROGRAM")
     ] = None,
-    view3d: Annotated[str | None, typer.Option("--view3d", help="The program of View3D.", metavar="PROGRAM")] = None,
+    view3d: peer_view3d.Program = None,
 ) -> Record:
     """Every program on rooms of these numbers of cells."""
     columns = ("", "patches", "first call s", "factors CPU s", "F J error", "worst", "solution CPU s", "error", "whole")
@@ -102,9 +99,12 @@ def measure(
         "CPU s: of all threads; first call: on a room of 136 patches, loads what is compiled (cold: compiles)",
         f"lines: {bundles} bundles of {lines:g} lines; integrals: rows to {tolerance:g}; in a process of their own",
     ]
-    for name, given in (("pyViewFactor: --peer-python", peer_python), ("View3D: --view3d", view3d)):
-        if not given:
-            record.notes.append(f"{name} was not given; how to install it stands in benchmarks/view_factors.py")
+    if not peer_python:
+        record.notes.append(
+            "pyViewFactor: --peer-python was not given; how to install it stands in benchmarks/view_factors.py"
+        )
+    if not view3d:
+        record.notes.append(peer_view3d.HOW)
     return record
 
 
@@ -139,7 +139,7 @@ def _pyviewfactor(patches: Patches, python: str | None) -> Outcome | None:
             vertices=patches.vertices,
             faces=patches.faces,
             walls=(patches.centres == 0).any(axis=1) | (patches.centres == 1).any(axis=1),
-            radiosity=smooth_radiosity(patches),
+            radiosity=smooth_radiosity(patches.centres),
             reflectance=patches.reflectance[:, 0],
             emission=patches.emission[:, 0],
         )
@@ -151,20 +151,15 @@ def _view3d(patches: Patches, program: str | None) -> Outcome | None:
     if not program:
         return None
     with tempfile.TemporaryDirectory(prefix="view3d-") as folder:
-        given, out = Path(folder) / "room.vs3", Path(folder) / "room.txt"
+        given = Path(folder) / "room.vs3"
         text = ["T room with boxes", "C encl=1 list=0 eps=1.0e-4", "F 3"]
         text += [f"V {i} {x:.12g} {y:.12g} {z:.12g}" for i, (x, y, z) in enumerate(patches.vertices, 1)]
         text += [f"S {i} {a} {b} {c} {d} 0 0 0.9 s{i}" for i, (a, b, c, d) in enumerate(patches.faces + 1, 1)]
         given.write_text("\n".join([*text, "End of data", ""]))
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        found = shutil.which(program) or os.path.abspath(program)
-        subprocess.run([found, given.name, out.name], check=True, capture_output=True, cwd=folder)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-        matrix = np.loadtxt(out, skiprows=2, max_rows=len(patches))
+        seconds, matrix = peer_view3d.run(program, given)
     # Its text has six decimals, which is as much as its entries are worth; rows are closed again.
     matrix /= matrix.sum(axis=1, keepdims=True)
-    return Outcome(None, seconds, 0.0, matrix @ smooth_radiosity(patches), _solved(patches, matrix))
+    return Outcome(None, seconds, 0.0, matrix @ smooth_radiosity(patches.centres), _solved(patches, matrix))
 
 
 def _solved(patches: Patches, matrix: np.ndarray) -> np.ndarray:
@@ -182,7 +177,7 @@ def _reference(patches: Patches, lines: float, view3d: Outcome | None) -> tuple[
     gathered, irradiance = [], []
     for run in range(_RUNS):
         segments = ABuffer(patches, SpiralPoints(_FIRST_SEED + run, _BUNDLES), lines).cast(_BUNDLES)
-        gathered.append(segments.gather(smooth_radiosity(patches)))
+        gathered.append(segments.gather(smooth_radiosity(patches.centres)))
         irradiance.append(solve(patches, segments, "conjugate-gradient", tolerance=1e-6).irradiance[:, 0])
     means, parts = [], []
     for values in (np.array(gathered), np.array(irradiance)):

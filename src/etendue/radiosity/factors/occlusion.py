@@ -30,6 +30,8 @@ _DEPTH = 8
 _NEAR = 0.94
 _NODES = np.concatenate([1 / 6 + np.eye(3) / 2, (1 - _NEAR) / 3 + _NEAR * np.eye(3), np.full((1, 3), 1 / 3)])
 _WEIGHT = 1 / (12 * _NEAR**2)
+#: Error of the mean of two rules, relative to their largest difference: measured, it is at most a tenth.
+_ERROR = 0.25
 
 
 class Room(NamedTuple):
@@ -90,7 +92,7 @@ def hidden_exchange(
                 outer += (_WEIGHT if k < 6 else 1 - 3 * _WEIGHT) * seen
         # `seen` is now from the middle; two rules may agree by chance, three seldom do.
         value = 0.5 * (inner + outer)
-        change = area * max(abs(inner - outer), abs(inner - seen), abs(outer - seen))
+        change = _ERROR * area * max(abs(inner - outer), abs(inner - seen), abs(outer - seen))
         # From few points alone, a hole may be missed that is as large as a quarter of the triangle.
         if (change <= tolerance * math.sqrt(area / whole) and level > 0) or level == _DEPTH:
             total += area * value

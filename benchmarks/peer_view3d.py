@@ -1,0 +1,34 @@
+"""View3D, asked for with ``--view3d``, its program (https://github.com/jasondegraw/View3D).
+
+Build it by ``cmake -DCMAKE_BUILD_TYPE=Release -DCMAKE_C_FLAGS=-fcommon``: plain ``make`` does not optimise, and its
+program takes more than twice the time.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+Program = Annotated[str | None, typer.Option("--view3d", help="The program of View3D.", metavar="PROGRAM")]
+HOW = "View3D: --view3d was not given; how to build it stands in benchmarks/peer_view3d.py"
+
+
+def run(program: str, path: Path) -> tuple[float, np.ndarray]:
+    """CPU seconds, and the matrix (n, n) of form factors of a file of View3D; their text has six decimals."""
+    with tempfile.TemporaryDirectory(prefix="view3d-") as folder:
+        out = Path(folder) / "factors.txt"
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        found = shutil.which(program) or os.path.abspath(program)
+        subprocess.run([found, str(path.resolve()), out.name], check=True, capture_output=True, cwd=folder)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+        count = int(out.read_text().split("\n", 1)[0].split()[-1])
+        return seconds, np.loadtxt(out, skiprows=2, max_rows=count, ndmin=2)
