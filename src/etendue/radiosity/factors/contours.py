@@ -69,7 +69,7 @@ def _edges(a: Array, a_end: Array, b: Array, b_end: Array) -> float:
     for end in (low, middle, high, length):
         end = min(max(end, 0.0), length)
         if end - start > 1e-12 * length or (end == length and end > start):
-            total += _along(start, end, 3, wx, wy, wz, ux, uy, uz, vx, vy, vz, inner)
+            total += _along(start, end, len(_COUNTS) - 1, wx, wy, wz, ux, uy, uz, vx, vy, vz, inner)
             start = end
     return cosine * total
 

@@ -18,7 +18,7 @@ from etendue.points import Sobol
 from .contours import of_contours
 from .distant import of_nodes
 from .occluders import Index, Occluders
-from .occlusion import Room, hidden_exchange, make_room, point_factor, polygon_area
+from .occlusion import Room, hidden_exchange, make_room, point_factor, point_factor_of_all, polygon_area
 from .shafts import covers, faces, in_front, in_hull, in_shaft, is_behind, may_be_between, places
 
 #: Sides whose occluders are looked for together.
@@ -86,17 +86,25 @@ def exchange_rows(
                 for j in range(max(b, i + 1), b_end):
                     if not faces(sides.corners, i, sides.planes, j) or not faces(sides.corners, j, sides.planes, i):
                         continue
-                    between = 0
-                    for k in range(count):
-                        if may_be_between(ours[i - a, k], theirs[j - b, k]):
-                            room.chosen[between] = room.found[k]
-                            between += 1
+                    between = _choose(ours[i - a], theirs[j - b], count, room)
                     value, error, done = _exchange(sides, i, j, occluders, between, tolerance, room)
                     if not done:
                         return i, j
                     exchange[sides.patch[i], sides.patch[j]] += value
                     errors[sides.patch[i], sides.patch[j]] += error
     return -1, -1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _choose(p: Array, q: Array, count: int, room: Room) -> int:
+    """Choose those of the first ``count`` found occluders that may be between two sides, from their places, and return
+    their number."""
+    chosen = 0
+    for k in range(count):
+        if may_be_between(p[k], q[k]):
+            room.chosen[chosen] = room.found[k]
+            chosen += 1
+    return chosen
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -151,7 +159,7 @@ def _sampled(
         some = point_factor(point, of_p, q, of_q, occluders, count, room)
         if some < 0.0:
             return -1.0, 1.0
-        all_ = point_factor(point, of_p, q, of_q, occluders, 0, room)
+        all_ = point_factor_of_all(point, of_p, q, room)
         seen, whole = seen + some, whole + all_
         share = some / all_ if all_ > 0.0 else 0.0
         least, most = min(least, share), max(most, share)

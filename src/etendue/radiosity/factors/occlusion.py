@@ -134,11 +134,12 @@ def point_factor(x: Array, of_p: Array, q: Array, of_q: Array, occluders: Occlud
             continue
         other, left = 1 - now, 0
         for m in range(made):
-            left = _without(
-                pieces[now, m], sizes[now, m], shade, corners, pieces[other], sizes[other], left, room.clipped
+            added = _without(
+                pieces[now, m], sizes[now, m], shade, corners, pieces[other, left:], sizes[other, left:], room.clipped
             )
-            if left < 0:
+            if added < 0:
                 return -1.0
+            left += added
         now, made = other, left
         if made == 0:
             return 0.0
@@ -146,6 +147,16 @@ def point_factor(x: Array, of_p: Array, q: Array, of_q: Array, occluders: Occlud
     for m in range(made):
         total += _of_contour(pieces[now, m], sizes[now, m], of_p)
     return max(total / (2 * math.pi), 0.0)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def point_factor_of_all(x: Array, of_p: Array, q: Array, room: Room) -> float:
+    """The form factor from a point in the plane ``of_p`` to all of ``q``."""
+    whole = room.clipped[0]
+    for i in range(len(q)):
+        for c in range(3):
+            whole[i, c] = q[i, c] - x[c]
+    return max(_of_contour(whole, len(q), of_p) / (2 * math.pi), 0.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -190,11 +201,9 @@ def _is_open(shade: Array, count: int) -> bool:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _without(
-    piece: Array, size: int, shade: Array, count: int, result: Array, sizes: Index, made: int, clipped: Array
-) -> int:
-    """Append to ``result`` the convex pieces of a convex polygon outside of the cone from the origin through ``shade``;
-    the new number of pieces, -1 if there are too many. Nothing is cut from a polygon outside of the cone."""
+def _without(piece: Array, size: int, shade: Array, count: int, result: Array, sizes: Index, clipped: Array) -> int:
+    """Write the convex pieces of a convex polygon outside of the cone from the origin through ``shade`` to ``result``;
+    their number, -1 if there are too many. Nothing is cut from a polygon outside of the cone."""
     # First whether the cone and the piece are apart.
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
@@ -207,14 +216,14 @@ def _without(
                 inside = True
                 break
         if not inside:
-            if made >= len(result):
+            if len(result) == 0:
                 return -1
             for m in range(size):
                 for c in range(3):
-                    result[made, m, c] = piece[m, c]
-            sizes[made] = size
-            return made + 1
-    rest, kept, left = clipped[2], clipped[3], size
+                    result[0, m, c] = piece[m, c]
+            sizes[0] = size
+            return 1
+    rest, kept, left, made = clipped[2], clipped[3], size, 0
     for m in range(size):
         for c in range(3):
             rest[m, c] = piece[m, c]

@@ -186,8 +186,8 @@ def in_hull(p: Array, of_p: Array, q: Array, of_q: Array, occluders: Occluders, 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _hull(p: Array, of_p: Array, q: Array, of_q: Array, hull: Array) -> int:
     """Write the planes of the hull of two polygons to ``hull``, a little inside of it, and return their number."""
-    count = _touching(p, of_p, q, hull, 0)
-    count = _touching(q, of_q, p, hull, count)
+    count = _touching(p, of_p, q, hull)
+    count += _touching(q, of_q, p, hull[count:])
     hull[count], hull[count + 1] = of_p, of_q
     hull[count, 3] += _BETWEEN
     hull[count + 1, 3] += _BETWEEN
@@ -195,9 +195,9 @@ def _hull(p: Array, of_p: Array, q: Array, of_q: Array, hull: Array) -> int:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _touching(p: Array, of_p: Array, q: Array, hull: Array, count: int) -> int:
-    """Append to ``hull`` the planes through each edge of ``p`` that touch ``q``, and return the number of planes."""
-    nx, ny, nz = of_p[0], of_p[1], of_p[2]
+def _touching(p: Array, of_p: Array, q: Array, hull: Array) -> int:
+    """Write the planes through each edge of ``p`` that touch ``q`` to ``hull``, and return their number."""
+    nx, ny, nz, count = of_p[0], of_p[1], of_p[2], 0
     for i in range(len(p)):
         j = i + 1 if i + 1 < len(p) else 0
         ex, ey, ez = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
@@ -229,7 +229,7 @@ def _touching(p: Array, of_p: Array, q: Array, hull: Array, count: int) -> int:
 @njit(nogil=True, cache=True, error_model="numpy")
 def faces(corners: Array, side: int, planes: Array, other: int) -> bool:
     """Whether a side extends in front of the plane of another."""
-    return _reaches(corners, side, 4, planes, other, _IN_PLANE)
+    return _reaches(corners, side, corners.shape[1], planes, other, _IN_PLANE)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -73,8 +73,9 @@ def rasterise(
     heads = np.empty(1, np.int32)
     hits, nexts = np.empty(room, np.uint64), np.empty(room, np.int32)
     order = np.empty(64, np.uint64)
-    pairs, made = np.empty((room * (len(frames) + 3) * 3 // 5, 2), np.uint32), 0
     last = np.zeros(len(frames) + 1, np.int64)
+    zero = last[0]  # loops that are given a constant would be compiled once more, for it alone
+    pairs, made = np.empty((room * (len(frames) + 3) * 3 // 5, 2), np.uint32), zero
     for b in range(len(frames)):
         last[b + 1] = made
         low_x, high_x, low_y, high_y = _project(vertices, frames[b], shifts[b], spacing, place)
@@ -94,7 +95,7 @@ def rasterise(
         if columns * rows > len(heads):
             heads = np.empty(columns * rows, np.int32)
         heads[: columns * rows] = _NONE
-        face, count, wanted = 0, 0, 0
+        face, count, wanted = zero, zero, zero
         while True:
             face, count, wanted = _fill(place, faces, window, columns, rows, skew, heads, hits, nexts, face, count)
             if face == len(faces):
@@ -103,7 +104,7 @@ def rasterise(
             hits, nexts = _grown(hits, room, count), _grown(nexts, room, count)
         if made + 2 * count + 1 > len(pairs):
             pairs = _grown_pairs(pairs, 2 * (made + 2 * count) + 1, made)
-        line = 0
+        line = zero
         while True:
             line, made = _walk(
                 heads, columns * rows, hits, nexts, ends, coincident, order, pairs, line, made, patches, solid
@@ -312,7 +313,7 @@ def _settle(
         inside = False
     elif k == 0:
         # The outside may be solid or open: the first face that is not part of a pair decides.
-        alone = 2
+        alone = k + 2
         while _touch(alone, count, order, ends, coincident, dark):
             alone += 2
         if alone < count:
