@@ -23,7 +23,7 @@ from .options import Methods, Names, Rounds, Size, words
 #: Seconds of the first pass: nothing compiled before, and kernels found on disk.
 BAR_COLD, BAR_WARM = 5.0, 1.0
 #: Peak memory of ``vcm`` in bytes, by size of the picture.
-MEMORY_BARS = {(512, 512): 0.5e9, (1920, 1080): 2.0e9}
+MEMORY_BARS = {(512, 512): 0.5e9, (1920, 1080): 2.0e9, (3840, 2160): 3.0e9}
 
 
 #: Time from the command to the saved picture relative to Mitsuba's ``path``: no kernel cached, and all.
@@ -151,10 +151,10 @@ def _sizes(text: str) -> list[tuple[int, int]]:
 
 
 def memory(
-    names: Methods = "vcm",
+    names: Methods = "path,bpt,vcm,sppm,auto",
     sizes: Annotated[
         Any, typer.Option(parser=_sizes, help="Sizes, separated by commas.", metavar="WxH,...")
-    ] = "512x512,1920x1080",
+    ] = "1920x1080,3840x2160",
     bound: Annotated[float | None, typer.Option(help="What --memory is given, in MB.", metavar="MB")] = None,
     passes: int = 3,
     source: str = COST_SCENE,

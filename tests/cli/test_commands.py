@@ -283,6 +283,15 @@ def test_settings_are_options(folder, capsys):
     assert float(kept.scene["groups"]["threshold"]) == 2.0
 
 
+@pytest.mark.parametrize("command", ["methods", "render --help"])
+def test_a_command_whose_reader_is_gone(command):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as pipe:
+        run = subprocess.run([sys.executable, "-m", "etendue", *command.split()], stdout=pipe, stderr=subprocess.PIPE)
+    assert (run.returncode, run.stderr) == (141, b"")
+
+
 def test_nonfinite_contributions_are_reported(folder, capsys, monkeypatch):
     passes.taint(monkeypatch, "path", 2.0)
     assert run("render cornell-box -m path --size 8x8 --spp 3 -D samples_per_pass=1 -o a.exr") == 0

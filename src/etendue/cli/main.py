@@ -98,6 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (Exception, KeyboardInterrupt) as error:
         # After a signal, any error is its consequence: compiled code turns KeyboardInterrupt into others.
         return interrupts.exit_code or _reported(error, debug, words)
+    except SystemExit as end:  # of Rich, which prints the help: at a pipe without reader
+        if isinstance(end.__context__, BrokenPipeError):
+            return 141
+        raise
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level)
