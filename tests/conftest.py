@@ -6,6 +6,7 @@ import gc
 import importlib
 import os
 import pkgutil
+import random
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,14 +23,20 @@ WITH_SCENES = ("conformance", "docs", "examples", "methods", "plugins", "transpo
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--part k/n``: every n-th test from the k-th on, so that a long suite runs in parts."""
+    """``--part k/n``: every n-th test from the k-th on, so that a long suite runs in parts; ``--order SEED``: for what
+    one file leaves to the next ones."""
     parser.addoption("--part", metavar="K/N", help="run the k-th of n parts of the tests, which are about equally long")
+    parser.addoption("--order", type=int, metavar="SEED", help="run the files in a random order")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keeps the tests of a part; tests marked ``gpu`` are skipped, with the reason, where CUDA is not usable."""
+    """Keeps the tests of a part, and orders their files; skips tests marked ``gpu`` where CUDA is not usable."""
     if config.getoption("--part"):
         _keep_part(config, items)
+    if (seed := config.getoption("--order")) is not None:
+        files = sorted({item.path for item in items})
+        random.Random(seed).shuffle(files)
+        items.sort(key=lambda item: files.index(item.path))
     if not any(item.get_closest_marker("gpu") for item in items):
         return
     from etendue.core.backend import cuda_problem

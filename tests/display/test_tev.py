@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.tev import fake_tev
 
-from etendue.core import OptionError
+from etendue.core import OptionError, Result
 from etendue.display import TevDisplay
 from etendue.display.tev import parse_address, picture_packets
 
@@ -21,7 +21,7 @@ def test_layers_arrive_and_a_known_layout_is_not_made_again() -> None:
         "depth": rng.random((700, 600, 1), np.float32),
     }
     with fake_tev() as server, TevDisplay(server.address, "room", pytest.fail) as display:
-        display.offer(lambda: layers)
+        display.offer(lambda: Result(layers))
     shown = server.images["room"]
     expected = ["R", "G", "B", "normal.X", "normal.Y", "normal.Z", "depth.Z"]
     assert list(shown) == expected
@@ -29,9 +29,16 @@ def test_layers_arrive_and_a_known_layout_is_not_made_again() -> None:
     for index, name in enumerate(expected):
         np.testing.assert_array_equal(shown[name], sent[..., index])
     assert server.kinds == [2, 4, 6, 6, 6, 6, 6]
-    packets, layout = picture_packets("room", layers)
-    assert len(picture_packets("room", layers, layout)[0]) == len(packets) - 2
-    assert picture_packets("room", {"image": layers["image"]}, layout)[0][0][4] == 2  # closes the image
+    packets, layout = picture_packets("room", Result(layers))
+    assert len(picture_packets("room", Result(layers), layout)[0]) == len(packets) - 2
+    assert picture_packets("room", Result({"image": layers["image"]}), layout)[0][0][4] == 2  # closes the image
+
+
+def test_bands_of_wavelengths_have_their_names() -> None:
+    result = Result({"image": np.ones((4, 5, 2), np.float32)}, metadata={"bands": ["low", "high"]})
+    with fake_tev() as server, TevDisplay(server.address, "prism", pytest.fail) as display:
+        display.offer(lambda: result)
+    assert list(server.images["prism"]) == ["low", "high"]
 
 
 def test_a_display_that_is_missing_or_goes_away_is_one_line() -> None:
@@ -47,7 +54,7 @@ def test_a_display_that_is_missing_or_goes_away_is_one_line() -> None:
         assert display.connect()
         listener.accept()[0].close()
         picture = {"image": np.zeros((2000, 2000, 3), np.float32)}
-        display.offer(lambda: picture)
+        display.offer(lambda: Result(picture))
         display.close()
     assert len(told) == 2 and "has gone" in told[1]
 

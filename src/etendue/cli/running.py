@@ -133,7 +133,7 @@ def shown_in_tev(address: str | None, name: str) -> Iterator[Callback | None]:
     from etendue.display import TevDisplay  # imported late: most of the package is for pages and plots
 
     with TevDisplay(address, name) as display:
-        yield lambda update: display.offer(lambda: update.layers)
+        yield lambda update: display.offer(lambda: update.result)
 
 
 def _name_files(product: Picture) -> None:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, describe, library, logger
-from etendue.film import channel_names
-
-Layers = Mapping[str, NDArray[np.float32]]
+from etendue.core import OptionError, Result, describe, library, logger
+from etendue.film import BANDS, channel_names
 
 #: The port on which tev listens by default.
 PORT = 14158
@@ -41,13 +39,14 @@ def parse_address(text: str) -> tuple[str, int]:
     return host.strip("[]") or "localhost", number
 
 
-def picture_packets(name: str, layers: Layers, known: Layout | None = None) -> tuple[list[bytes], Layout]:
-    """Packets that show ``layers`` (height, width, channels) as one image, with the channel names of OpenEXR, and their
+def picture_packets(name: str, result: Result, known: Layout | None = None) -> tuple[list[bytes], Layout]:
+    """Packets that show the layers (height, width, channels) as one image, with the channel names of OpenEXR, and their
     layout. The image is made anew unless its layout is ``known``."""
     packet = library("tevclient.packet", "--tev", "tev")
-    planes = {key: np.atleast_3d(np.asarray(layer, np.float32)) for key, layer in layers.items()}
+    planes = {key: np.atleast_3d(np.asarray(layer, np.float32)) for key, layer in result.layers.items()}
     height, width = next(iter(planes.values())).shape[:2]
-    channels = {key: channel_names(key, plane.shape[2]) for key, plane in planes.items()}
+    bands = result.metadata.get(BANDS)
+    channels = {key: channel_names(key, plane.shape[2], bands=bands) for key, plane in planes.items()}
     layout: Layout = (width, height, tuple(name for names in channels.values() for name in names))
     packets = (
         [] if layout == known else [packet.close_image(name), packet.create_image(name, width, height, list(layout[2]))]
@@ -81,7 +80,7 @@ class TevDisplay:
         self._name, self._tell = name, tell
         self._socket: socket.socket | None = None
         self._layout: Layout | None = None
-        self._newest: Callable[[], Layers] | None = None
+        self._newest: Callable[[], Result] | None = None
         self._changed = threading.Condition()
         self._closing = False
         self._thread: threading.Thread | None = None
@@ -98,10 +97,11 @@ class TevDisplay:
         self._thread.start()
         return True
 
-    def offer(self, layers: Callable[[], Layers]) -> None:
-        """Show the layers that ``layers()`` returns, once there is time. It is called in the thread of the display."""
+    def offer(self, result: Callable[[], Result]) -> None:
+        """Show the layers of what ``result()`` returns, once there is time. It is called in the thread of the
+        display."""
         with self._changed:
-            self._newest = layers
+            self._newest = result
             self._changed.notify()
 
     def close(self) -> None:
@@ -124,28 +124,28 @@ class TevDisplay:
 
     def _work(self) -> None:
         try:
-            while (layers := self._next()) is not None:
+            while (result := self._next()) is not None:
                 begin = time.monotonic()
-                self._show(layers())
+                self._show(result())
                 self._rest(max(_LEAST_PAUSE, (time.monotonic() - begin) / _LARGEST_SHARE))
         except OSError as error:
             self._tell(f"tev at {self._host}:{self._port} has gone ({error.strerror or describe(error)})")
         except Exception as error:
             self._tell(f"the picture cannot be shown in tev: {describe(error)}")
 
-    def _next(self) -> Callable[[], Layers] | None:
+    def _next(self) -> Callable[[], Result] | None:
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._closing)
-            layers, self._newest = self._newest, None
-            return layers
+            result, self._newest = self._newest, None
+            return result
 
     def _rest(self, seconds: float) -> None:
         with self._changed:
             self._changed.wait_for(lambda: self._closing, seconds)
 
-    def _show(self, layers: Layers) -> None:
+    def _show(self, result: Result) -> None:
         assert self._socket is not None
-        packets, self._layout = picture_packets(self._name, layers, self._layout)
+        packets, self._layout = picture_packets(self._name, result, self._layout)
         for packet in packets:
             self._socket.sendall(packet)
 

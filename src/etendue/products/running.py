@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from etendue.core import EtendueError, Progress, describe, format_count, logger
+from etendue.core import EtendueError, Progress, Result, describe, format_count, logger
 from etendue.engine import InTurn, Job, RunError, Runner, RunResult, Session
 
 if TYPE_CHECKING:
@@ -36,9 +36,14 @@ class Update:
     @property
     def layers(self) -> dict[str, Image]:
         """The current picture with its layers, developed at each access."""
+        return self.result.layers
+
+    @property
+    def result(self) -> Result:
+        """The layers and the metadata of the current picture, developed at each access."""
         snapshot = self._runner.snapshot()
         assert snapshot is not None  # a callback follows a pass
-        return snapshot.layers
+        return snapshot
 
 
 #: Called after each pass; ``False`` ends the run.

@@ -9,7 +9,7 @@ from html import escape
 from typing import Self
 
 from etendue import methods
-from etendue.core import OptionError
+from etendue.core import OptionError, Result
 from etendue.display import TevDisplay
 
 from .access.addresses import given_address, origins_of, reached
@@ -69,7 +69,7 @@ class Viewer:
         self._server.trusted.allow(origins_of(self._address, self._server.port))
         if self._second is not None and self._second.connect():
             offer = self._second.offer
-            self._session.on_picture = lambda layers: offer(lambda: layers)
+            self._session.on_picture = lambda layers: offer(lambda: Result(dict(layers)))
         self._session.start()
         _open.add(self)
 
