@@ -14,6 +14,7 @@ from etendue.radiosity import Patches, RayScene, box, diagnose, sub_scenes
 SIZES = {"bleed-box": 1062, "curved": 1988, "curved-colour": 1988, "three-lamps": 2154}
 
 
+@pytest.mark.slow
 def test_scenes_are_closed_and_as_large_as_stated():
     scenes = importlib.import_module("benchmarks.radiosity.ambient_scenes")
     assert set(scenes.AMBIENT_SCENES) == {"interior", *SIZES}
@@ -35,6 +36,7 @@ def test_booths_are_sub_scenes():
     assert (scene.parts[0].high[0] < scene.parts[1].low[0]) and (scene.parts[1].high[0] < scene.parts[2].low[0])
 
 
+@pytest.mark.slow
 def test_ambient(tmp_path, monkeypatch):
     words = ["ambient", "--scene", "three-lamps", "--detail", "0.3", "--bundles", "16", "--rounds", "1"]
     module = importlib.import_module("benchmarks.radiosity.ambient")
@@ -48,6 +50,7 @@ def test_ambient(tmp_path, monkeypatch):
     assert (tmp_path / "ambient-three-lamps.png").is_file()
 
 
+@pytest.mark.slow
 def test_finishing(tmp_path, monkeypatch):
     words = ["finishing", "--scene", "nine-cubes", "--bundles", "64", "--seeds", "2"]
     monkeypatch.setattr(importlib.import_module("benchmarks.radiosity.ambient"), "_RAYS", 1 << 12)

@@ -141,6 +141,7 @@ def test_cheap_cases(number, what, method, tmp_path):
     assert len(readings) == len(case.points) and all(reading.passed for reading in readings), readings
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, monkeypatch):
     words = ["cie171", "--cases", "5.3,5.5", "--quick", "--out", str(tmp_path)]
     (table,) = tables_of("", words, tmp_path, monkeypatch)

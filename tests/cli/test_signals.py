@@ -185,6 +185,7 @@ def proc(process: subprocess.Popen[str], name: str) -> str:
     return Path(f"/proc/{process.pid}/{name}").read_text("ascii")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="asks Linux how far a process is")
 def test_a_second_signal_aborts_at_once(folder):
     process = start(

@@ -107,6 +107,7 @@ def test_a_budget_in_error():
     assert (result.patches.areas[:, None] * result.irradiance_error).sum() / light == pytest.approx(0.02, rel=0.5)
 
 
+@pytest.mark.slow
 def test_the_error_of_independent_sequences_is_that_which_is_made():
     """Squared deviations from many lines, in estimated variances; of one sequence the estimate is an upper one."""
     patches = lit_room()

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import crossed
 
 from etendue.density import KdTree
 
@@ -112,8 +113,7 @@ def test_the_neighbours_are_exact(kind):
         assert set(found) == set(np.flatnonzero(row <= bound))
 
 
-@pytest.mark.parametrize("k", [1, 2, 8, 9, 50, 300, 700])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "k"), crossed(KINDS, [1, 2, 8, 9, 50, 300, 700], 7))
 def test_the_kth_distance_is_exact(kind, k):
     points = cloud(kind)
     queries = around(points)

@@ -123,6 +123,7 @@ def test_a_method_that_failed_is_told_in_its_place(comparison):
     assert "<memory>" not in page and "<x>" not in page
 
 
+@pytest.mark.slow
 def test_all_data_of_a_page_stay_below_six_megabytes():
     """Noisy pictures with layers and a pyramid: pixels of layers become blocks, figures smaller."""
     rng = np.random.default_rng(3)

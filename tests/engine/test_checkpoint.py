@@ -205,6 +205,7 @@ except OutputError as error:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.checkpoint", "big"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_a_killed_process_leaves_a_whole_checkpoint(checkpoint, tmp_path):
     path, source = tmp_path / "a.checkpoint", tmp_path / "source"

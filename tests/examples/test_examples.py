@@ -77,6 +77,7 @@ def test_occlusion(reach, monkeypatch):
     assert (np.mean(found) < 0.8) == (reach == 0.0)
 
 
+@pytest.mark.slow
 def test_ray_tracers():
     module = example("ray_tracers")
     found = module.run(size=24, samples=80, learning=100_000)
@@ -96,6 +97,7 @@ def test_photon_tracer():
     assert found["mapped"].mean() == pytest.approx(found["picture"].mean(), rel=0.03)
 
 
+@pytest.mark.slow
 def test_irradiance_cache():
     module = example("irradiance_cache")
     found = module.run(size=48, samples=64)
@@ -145,6 +147,7 @@ def test_form_factors_by_any_integrator(by, tolerance):
     assert factors == pytest.approx(expected, rel=tolerance) and factors == pytest.approx(factors.T)
 
 
+@pytest.mark.slow
 def test_luminaires():
     """The gradient of the loss is that of finite differences, and fewer watts light the same desks."""
     module = example("luminaires")
@@ -158,6 +161,7 @@ def test_luminaires():
     assert found["watts"][1] < 0.85 * found["watts"][0]
 
 
+@pytest.mark.slow
 def test_office(tmp_path):
     """Its files are written, and bpt, by which it measures, agrees with path on the direct light. (Of all light, path
     rarely finds that of the bodies of the lamps, close to their points, and its error is too small.)"""

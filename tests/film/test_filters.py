@@ -5,7 +5,7 @@ from functools import cache, lru_cache
 import drjit as dr
 import numpy as np
 import pytest
-from support.tables import crossed
+from support.tables import crossed, thinned
 
 FILTERS = ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos", "wide"]
 SIZES = [(8, 5), (3, 9), (1, 2)]
@@ -347,7 +347,7 @@ def test_works_inside_a_symbolic_loop(mi):
     np.testing.assert_allclose(looped.numpy(), total.numpy(), rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["tent", "gaussian", "mitchell", "lanczos"])
+@pytest.mark.parametrize("name", thinned(["tent", "gaussian", "mitchell", "lanczos"], ["gaussian", "lanczos"]))
 def test_borders_agree_with_a_mitsuba_render(mi, name):
     """A textured emitter seen head-on, by Mitsuba's film and by all estimators of ours: a Z-test per pixel."""
     from etendue.film import PixelFilter

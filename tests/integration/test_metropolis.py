@@ -170,6 +170,7 @@ def test_errors_of_a_known_chain_cover_the_mean():
     assert d.effective_samples == pytest.approx(80_000 / 19, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_autocorrelation_time_falls_with_the_square_of_the_step():
     """Check 12's law for a walk in a box: T ~ (L / eps)^2."""
     flat = Integrand(lambda x: x[0] * 0.0 + 1.0, 1)

@@ -51,6 +51,7 @@ def test_the_histogram_is_the_target(name, on):
         assert found.acceptance > 1.5 * INTEGRAL / 4
 
 
+@pytest.mark.slow
 def test_a_bound_that_grows_judges_all_points_alike(monkeypatch):
     """A narrow peak is found late, after many points were accepted: the result is that of the final bound."""
     monkeypatch.setattr(HostBackend, "batch", 64)

@@ -34,6 +34,7 @@ def test_year(hours, tmp_path, end, bom):
     assert 90.0 < sky.sun_illuminance / 500.0 < 120.0 and 100.0 < sky.diffuse_illuminance / 100.0 < 150.0
 
 
+@pytest.mark.slow
 def test_leap_years(tmp_path):
     assert len(read_epw(written(tmp_path, year(2024, leap=True))).times) == 8784
     assert len(read_epw(written(tmp_path, year(2024))).times) == 8760  # a typical year without 29 February

@@ -2,8 +2,9 @@
 
 A scene shows six materials at once, so four scenes an emitter cross it with all of them. There are two walks: methods
 that trace paths of the camera share one, methods that trace paths of the lights as well the other. The fast table has
-every emitter and every method, and with each walk every material, every sensor and every filter. The slow one has all
-pairs of these, but for (emitter, filter) and for the emitters of those methods that only it runs (:data:`MORE`).
+emitters of every kind and every method, and with each walk every material, every sensor and every filter. The slow one
+has all pairs of these and every emitter, but for (emitter, filter) and for the emitters of those methods that only it
+runs (:data:`MORE`).
 """
 
 from __future__ import annotations
@@ -56,6 +57,8 @@ MORE = {
 }
 
 
+#: Emitters of the fast table: on surfaces, at a point, of one direction, all around, and several.
+KINDS = ("rectangle", "mesh", "point", "directional", "envmap", "mixed")
 #: Those whose pictures do not have the scene's filter.
 FILM = tuple(name for name, (method, _) in MORE.items() if method == "film_metropolis")
 
@@ -97,7 +100,7 @@ def fast() -> list[tuple[str, str, str, str, str]]:
 
     def wanted(row: tuple[str, ...]) -> set[Any]:
         walk = row[2] in BOTH_WAYS
-        return {row[0], row[2], (walk, row[1]), (walk, row[3]), (walk, row[4])}
+        return {row[2], (walk, row[1]), (walk, row[3]), (walk, row[4]), *({row[0]} & set(KINDS))}
 
     candidates = [row for row in covering() if row[2] in METHODS]
     rows, left = [], set().union(*map(wanted, candidates))

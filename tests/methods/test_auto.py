@@ -146,6 +146,7 @@ def many_lamps():
     return method
 
 
+@pytest.mark.slow
 def test_path_tracing_has_the_roulette_that_its_moments_are_of():
     """In a closed room, paths of six edges or more are common without roulette from the second edge on."""
     room = scene.load("ajar", size=(24, 16))
@@ -155,6 +156,7 @@ def test_path_tracing_has_the_roulette_that_its_moments_are_of():
     assert rays[0] < 0.9 * rays[1]
 
 
+@pytest.mark.slow
 def test_path_tracing_selects_the_lamps_that_its_moments_are_of(many_lamps):
     """Those that passes with light paths have learned, and the moments are not those from before they had."""
     method = many_lamps.method
@@ -198,6 +200,7 @@ def foresee(monkeypatch, best):
     monkeypatch.setattr(Learned, "errors", errors)
 
 
+@pytest.mark.slow
 def test_learning_is_a_bounded_share(monkeypatch):
     """Two passes first; later ones as the cost of the run grows. Path tracing has long to go until then."""
     foresee(monkeypatch, [PATH])

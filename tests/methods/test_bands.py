@@ -98,6 +98,7 @@ def test_light_of_all_wavelengths_alike_has_the_integral_of_each_band():
     assert made.image == pytest.approx(np.broadcast_to(2.0 * integrals(), (4, 4, 5)), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_spectrum_has_its_integral_over_each_band():
     made = etendue.render(banded(sky(LED)), "path", spp=512, samples_per_pass=1, size=(2, 2))
     assert made.image[0, 0] == pytest.approx(integrals(LED), rel=2e-3)
@@ -111,9 +112,8 @@ def _mitsuba(glass: bool) -> tuple[Any, np.ndarray]:
     return problem, mitsuba_path(problem, 8, 4096 if glass else 2048, max_depth=6)
 
 
-@pytest.mark.parametrize(
-    ("method", "glass"), thinned([*((m, False) for m in METHODS), ("path", True), ("vcm", True)], [("vcm", False)])
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "glass"), [*((m, False) for m in METHODS), ("path", True), ("vcm", True)])
 def test_the_methods_agree_with_mitsuba(method, glass):
     problem, theirs = _mitsuba(glass)
     radius = {"radius": 0.02} if method in ("bpm", "vcm", "sppm", "ppm", "pm", "auto") else {}
@@ -122,7 +122,7 @@ def test_the_methods_agree_with_mitsuba(method, glass):
     assert_agree(ours / scale, theirs / scale, (method, glass), precision=0.03)
 
 
-@pytest.mark.parametrize("setting", ["components", "pyramid", "split_layers"])
+@pytest.mark.parametrize("setting", thinned(["components", "pyramid", "split_layers"], ["pyramid"]))
 def test_parts_of_a_picture_have_the_bands_and_add_up(setting):
     made = etendue.render(banded(still_life()), "bpt", spp=8, max_depth=4, **{setting: True})
     parts = {name: layer for name, layer in made.layers.items() if name != "image"}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared
+from support.tables import thinned
 
 from etendue.core import RELATIVE_EPSILON
 from etendue.methods.metropolis.blend import Blend, Grid, brightness, luminance
@@ -76,6 +77,7 @@ def test_the_better_estimator_has_the_larger_weight():
         assert error < 1.2 / (1.0 / by_chains + 1.0 / by_paths) / 40
 
 
+@pytest.mark.slow
 def test_chains_that_stay_where_they_are_lose_no_light():
     """A tenth of the light is in the upper half of the film. Groups of chains are there a tenth of the time, and stay
     long. If weights followed the chains that they are for, they would keep least of what these have not found."""
@@ -108,7 +110,7 @@ def test_no_light_of_the_independent_estimator_leaves_the_scale_to_the_large_ste
     np.testing.assert_array_equal(added[0, :, 0, 0, 0], [1.0, 1.5])
 
 
-@pytest.mark.parametrize("method", ["mmlt", "pssmlt", "film_metropolis"])
+@pytest.mark.parametrize("method", thinned(["mmlt", "pssmlt", "film_metropolis"], ["pssmlt"]))
 def test_the_scale_is_not_that_of_the_large_steps(method, monkeypatch):
     """Chains that have been told a wrong mean of the target make the same picture, if none begins anew."""
     monkeypatch.setattr(Chains, "renewed", lambda self, carried, *_: carried.states)

@@ -58,8 +58,8 @@ def test_strands_that_reflect(kind, name, strands):
 HAIR, GLASS = {"type": "hair", "eumelanin": 0.3}, {"type": "roughdielectric", "alpha": 0.2}
 
 
-@pytest.mark.parametrize("bsdf", [HAIR, GLASS], ids=["hair", "glass"])
-@pytest.mark.parametrize("name", thinned(("path", "guided", "vegas", "auto"), ("auto",)))
+@pytest.mark.parametrize("bsdf", [HAIR, pytest.param(GLASS, marks=pytest.mark.slow)], ids=["hair", "glass"])
+@pytest.mark.parametrize("name", thinned(("path", "guided", "vegas", "auto"), ("path",)))
 def test_light_through_strands(name, bsdf, strands):
     problem = load(described(strands, "bsplinecurve", bsdf))
     expected = mitsuba_images(problem, mi.load_dict({"type": "path"}), 6, 256, seed=1000)

@@ -86,7 +86,8 @@ OTHER_PATHS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(OTHER_PATHS, ("uniform",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHER_PATHS)
 def test_other_paths_make_the_picture_of_another_method(name):
     settings, other = OTHER_PATHS[name]
     problem = lamp_and_mirror()
@@ -116,6 +117,7 @@ def test_light_paths_find_caustics_that_camera_paths_do_not():
     assert (both.mean(axis=(0, 1, 2)) - camera.mean(axis=(0, 1, 2)) > 5.0 * error).all()
 
 
+@pytest.mark.slow
 def test_an_independent_estimator_of_the_same_light_is_beside():
     """It determines the scale. One that finds more light, or samples what chains may not, would be no comparison."""
     problem = scenes.room("rectangle", scenes.FEW)
@@ -148,6 +150,7 @@ def test_light_paths_need_a_sensor_that_points_can_be_connected_to():
     prepared(problem, "film_metropolis", **SMALL, paths="bidirectional")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", ["later", "split"])
 def test_a_lamp_behind_a_thin_screen(lights):
     """Light that is seen through null surfaces is painted, or left to the chains, but not lost."""
@@ -190,6 +193,7 @@ def test_a_picture_of_lights_alone():
     assert made.mean.max() == pytest.approx(2.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_halves_of_painted_light_are_independent():
     """They do not share an evenly spread sequence, of whose points one half may lie on one half of the film: their
     difference would be no measure of the error of their mean."""
@@ -225,7 +229,8 @@ def test_going_on_lowers_the_error():
     assert np.mean(errors[5]) < 0.4 * np.mean(errors[1])
 
 
-@pytest.mark.parametrize("estimator", thinned(["kernel", "variable"], ["kernel"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ["kernel", "variable"])
 def test_the_border_is_dark_without_samples_around_it(estimator):
     """Inside a uniform closed surface every pixel has the same radiance."""
     problem = scenes.furnace("sphere", 1.0, 0.5, size=(16, 16))

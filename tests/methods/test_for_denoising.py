@@ -70,11 +70,11 @@ def room() -> dict[str, Any]:
 
 
 @lru_cache(maxsize=2)
-def pictures(mirror: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """(layers after 16 samples, converged picture)."""
+def pictures(mirror: bool, samples: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """(layers after 16 samples, a picture of many)."""
     scene, common = room() if mirror else "cornell-box", {"size": SIZE, "max_depth": 6}
     made = etendue.render(scene, "path", spp=16, seed=1, for_denoising=True, **common)
-    truth = etendue.render(scene, "path", spp=2048, seed=2, reconstruction="independent", **common)
+    truth = etendue.render(scene, "path", spp=samples, seed=2, reconstruction="independent", **common)
     return made.layers, truth.image
 
 
@@ -83,15 +83,16 @@ def pictures(mirror: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
 def test_every_denoiser_makes_a_better_picture(name, mirror):
     """Without further options. Ratios of relMSE for three seeds: 0.03 to 0.68."""
     needs(name)
-    layers, truth = pictures(mirror)
+    layers, truth = pictures(mirror, 512)
     assert relative_mse(develop(layers, name), truth) < 0.8 * relative_mse(layers["image"], truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bilateral", "guided", "oidn"])
 def test_a_mirror_keeps_what_it_shows(name):
     """Better than with the features of the mirror: ratios of relMSE for three seeds, 0.60 to 0.84."""
     needs(name)
-    layers, truth = pictures(mirror=True)
+    layers, truth = pictures(True, 2048)
     flat = {layer: values for layer, values in layers.items() if not layer.startswith("seen_")}
     mirror = np.abs(layers["seen_albedo"] - layers["albedo"]).max(axis=2) > 0.02
     assert 200 < mirror.sum() < 300

@@ -54,21 +54,25 @@ NEAREST = {
 }
 
 
-@pytest.mark.parametrize("name", UNBIASED)
+@pytest.mark.parametrize(
+    "name", thinned(UNBIASED, ("path naive", "path mis", "light", "bpt cache", "bpt path power", "bpt counts"))
+)
 def test_inside_a_sphere(name):
     method, settings = UNBIASED[name]
     result = run(furnace("sphere", RADIANCE, ALBEDO), method, passes=6, samples=256, **settings)
     assert_agree(result.images, RADIANCE / (1 - ALBEDO), name, block=1)
 
 
-@pytest.mark.parametrize("name", ["path mis", "light", "bpt cache", "bpt path power"])
+@pytest.mark.parametrize(
+    "name", thinned(["path mis", "light", "bpt cache", "bpt path power"], ["path mis", "bpt cache"])
+)
 def test_inside_a_box(name):
     method, settings = UNBIASED[name]
     result = run(furnace("box", RADIANCE, 0.7), method, passes=6, samples=256, **settings)
     assert_agree(result.images, RADIANCE / 0.3, name, block=1)
 
 
-@pytest.mark.parametrize("name", MERGING)
+@pytest.mark.parametrize("name", thinned(MERGING, ("vcm", "bpm", "sppm photons", "ppm")))
 def test_merging_inside_a_sphere(name):
     method, settings = MERGING[name]
     settings = {"radius": 0.01, "radius_unit": "absolute", "alpha": 1.0} | settings
@@ -88,7 +92,8 @@ AT_EDGES = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(AT_EDGES, ("bpm", "pm photons")))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", AT_EDGES)
 def test_merging_at_edges(name):
     """Inside a cube, with a radius of a tenth of its side: photons of the next wall are as good as those of a plane
     that goes on. Where three walls meet there is less wall than on a plane; pixels that see it are left out."""
@@ -126,14 +131,15 @@ def test_merging_on_a_plane_of_constant_irradiance(name):
     assert_agree(result.images, 0.5 * 1.3, name, block=2)
 
 
-@pytest.mark.parametrize("name", thinned(NEAREST, ("pm photons",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEAREST)
 def test_nearest_photons_inside_a_sphere(name):
     settings = {"photons": 200_000, "neighbours": 12} | NEAREST[name]
     result = run(furnace("sphere", RADIANCE, ALBEDO), "pm", passes=6, samples=256, **settings)
     assert_agree(result.images, RADIANCE / (1 - ALBEDO), name, block=2)
 
 
-@pytest.mark.parametrize("name", NEAREST)
+@pytest.mark.parametrize("name", thinned(NEAREST, ("pm photons", "pm few neighbours", "pm final gather")))
 def test_nearest_photons_on_a_plane_of_constant_irradiance(name):
     """The k-th photon ends the disc: counted in full it would make five neighbours a quarter too bright."""
     settings = {"photons": 30_000} | NEAREST[name]

@@ -37,7 +37,15 @@ def variance(images: np.ndarray, mean: np.ndarray) -> float:
     return float(np.sort(pixels)[: int(0.99 * len(pixels))].mean())
 
 
-@pytest.mark.parametrize("settings", [{}, {"mode": "naive"}, {"bsdf_sampling": False}, {"heuristic": "power"}], ids=str)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"mode": "naive"},
+        *(pytest.param(s, marks=pytest.mark.slow) for s in ({"bsdf_sampling": False}, {"heuristic": "power"})),
+    ],
+    ids=str,
+)
 def test_without_training_it_is_path(settings):
     settings = {"samples_per_pass": 4, **settings}
     mine = go(prepared(lit_room(), "guided", generations=0, **settings), 2).mean
@@ -60,7 +68,8 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(SWITCHES, ("power",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SWITCHES)
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if name == "naive" else "mixed"
     # Uniform directions rarely find the bright ones of glossy materials, and such means are not normal.
@@ -139,7 +148,7 @@ def test_passes_weigh_more_as_it_learns():
     np.testing.assert_allclose(total.mean(), 0.2 * means[0] + 0.4 * means[1] + 0.4 * means[2])
 
 
-@pytest.mark.parametrize("stop", [5, 8])
+@pytest.mark.parametrize("stop", thinned([5, 8], [5]))
 def test_a_run_goes_on_where_it_stopped(stop):
     """In the midst of a generation, at the end of one and after training: bit by bit."""
     settings = {"samples_per_pass": 16, **TRAINED}
@@ -172,6 +181,7 @@ def test_learning_compiles_nothing():
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
+@pytest.mark.slow
 def test_little_memory_learns_from_fewer_paths():
     scene = scenes.room("sphere", scenes.FEW)
     scene.memory = 1_000_000
@@ -235,6 +245,7 @@ def squares(monkeypatch: Any, scene: Any, seed: int, generations: int, **setting
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lamps", "rr_depth"), [("shaded", 99), ("one hidden", 2)])
 def test_guided_paths_tell_the_noise_of_plain_ones(lamps, rr_depth, monkeypatch):
     """Whose mean square is measured without a guide."""

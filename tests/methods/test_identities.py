@@ -45,7 +45,11 @@ def problem() -> Any:
     return scenes.room("mixed", ("anisotropic", "dielectric", "mask"), rfilter="gaussian")
 
 
-@pytest.mark.parametrize("settings", [{"light_source": "path", "heuristic": "power"}, {"connections": 2}], ids=str)
+@pytest.mark.parametrize(
+    "settings",
+    [pytest.param({"light_source": "path", "heuristic": "power"}, marks=pytest.mark.slow), {"connections": 2}],
+    ids=str,
+)
 def test_vcm_tends_to_bpt_with_the_radius(settings):
     """The same paths with and without merging: what its weights take from the other techniques falls with the area
     of its disc (under the power heuristic with the area's square), to nothing."""
@@ -67,6 +71,7 @@ def test_vcm_tends_to_bpt_with_the_radius(settings):
     np.testing.assert_allclose(taken[0.00005], 0.0, atol=1e-5 * without.mean())
 
 
+@pytest.mark.slow
 def test_hits_and_next_event_alone_are_path():
     """The bidirectional estimator with path tracing's two techniques, against ``path``: the same mean."""
     scene = scenes.room("sphere", scenes.FEW)
@@ -85,7 +90,7 @@ def test_splats_alone_are_light():
     assert_agree(splats, np.stack([light.step(i, 5).mean("splat") for i in range(6)]), "splats", precision=0.03)
 
 
-@pytest.mark.parametrize("name", thinned(LAYERED, ("light", "bpt cache", "bpm", "vcm path")))
+@pytest.mark.parametrize("name", thinned(LAYERED, ("light",)))
 def test_layers_sum_to_the_image(name):
     method, settings = METHODS[name]
     if method != "light":
@@ -97,7 +102,8 @@ def test_layers_sum_to_the_image(name):
     np.testing.assert_allclose(total, measurement.mean(), **SAME)
 
 
-@pytest.mark.parametrize("name", thinned(("bpt cache", "vcm", "bpm"), ("vcm",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ("bpt cache", "vcm", "bpm"))
 @pytest.mark.parametrize("clamp", [0.0, 0.3])
 def test_layers_may_be_left_unsplit(name, clamp):
     method, settings = METHODS[name]
@@ -109,7 +115,7 @@ def test_layers_may_be_left_unsplit(name, clamp):
     np.testing.assert_allclose(whole.mean, split, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", thinned(INDEPENDENT, ("path", "light", "bpt cache", "vcm")))
+@pytest.mark.parametrize("name", thinned(INDEPENDENT, ("vcm",)))
 def test_two_halves_add_to_one_run_in_any_order(name):
     method, settings = METHODS[name]
     runner = prepared(problem(), method, samples_per_pass=4, **settings)
@@ -123,7 +129,7 @@ def test_two_halves_add_to_one_run_in_any_order(name):
     np.testing.assert_allclose(halves.variance_of_mean(), whole.variance_of_mean(), rtol=1e-3, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", thinned(METHODS, ("path", "guided", "vegas", "light", "bpt cache", "vcm", "sppm")))
+@pytest.mark.parametrize("name", thinned(METHODS, ("path", "guided", "ppm", "vcm")))
 def test_a_seed_gives_one_picture(name):
     method, settings = METHODS[name]
     run_of_seed = run(problem(), method, passes=2, samples=4, seed=3, **settings)
@@ -135,13 +141,6 @@ def test_a_seed_gives_one_picture(name):
         np.testing.assert_array_equal(first, again)
     np.testing.assert_allclose(first, again, **SAME)
     assert np.abs(first - other).max() > 1e-3
-
-
-@pytest.mark.parametrize("name", thinned(METHODS, ("stratified", "pm", "ppm")))  # of the others, see above
-def test_passes_differ(name):
-    method, settings = METHODS[name]
-    images = run(problem(), method, passes=2, samples=4, **settings).images
-    assert np.abs(images[0] - images[1]).max() > 1e-3
 
 
 @pytest.mark.parametrize("depth", thinned(range(5), (0, 1, 3)))
@@ -201,22 +200,6 @@ def test_light_paths_in_groups_have_the_same_mean(name):
     assert_agree(go(runner, 6).images, run(whole, method, passes=6, samples=64, seed=2, **settings).images, name)
 
 
-def test_no_light_vertex_at_all():
-    """Light that meets nothing is stored nowhere: the picture is the lamp, and nothing fails."""
-    scene = scenes.load(
-        {
-            "type": "scene",
-            "sensor": scenes.camera(),
-            "light": {"type": "sphere", "center": [0, 0.5, 0], "radius": 0.4, "emitter": scenes._area(1, 2, 3)},
-        }
-    )
-    expected = run(scene, "path", passes=1).mean
-    assert expected.max() > 0.9
-    for method, settings in (("bpt", {"light_source": "path"}), ("vcm", {})):
-        image = run(scene, method, passes=1, **settings).mean
-        np.testing.assert_allclose(image.mean(), expected.mean(), rtol=0.05)
-
-
 def test_delta_lights_and_mirrors_alone_leave_black():
     """A point light and a mirror: nothing to store, nothing to connect; black, without a NaN."""
     scene = scenes.load(
@@ -233,7 +216,7 @@ def test_delta_lights_and_mirrors_alone_leave_black():
         assert result.measurement.counters["nonfinite"] == 0
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", thinned(METHODS, ("path", "light", "vcm", "sppm")))
 def test_a_nan_is_counted_and_not_written(name):
     """A texel of NaN in a reflectance, let in past the check."""
     pixels = np.full((8, 8, 3), 0.5)
@@ -255,7 +238,8 @@ def test_a_nan_is_counted_and_not_written(name):
     assert result.mean[:2].mean() > 0.0
 
 
-@pytest.mark.parametrize("name", thinned(("path", "light", "bpt cache"), ("light",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ("path", "light", "bpt cache"))
 def test_noise_falls_with_the_root_of_the_passes(name):
     """Means of n passes scatter as n^(-1/2), and so do passes of n samples: no draw is used twice."""
     method, settings = METHODS[name]
@@ -272,7 +256,7 @@ def test_noise_falls_with_the_root_of_the_passes(name):
     assert abs(z_scores(blocks(images, 8), blocks(larger, 8))).max() < 4.5
 
 
-@pytest.mark.parametrize("name", ["bpt cache", "vcm path"])
+@pytest.mark.parametrize("name", thinned(["bpt cache", "vcm path"], ["vcm path"]))
 def test_a_pilot_that_guessed_too_low(name):
     """The store overflows, and the pass is repeated with more room: the same picture."""
     method, settings = METHODS[name]
@@ -284,7 +268,7 @@ def test_a_pilot_that_guessed_too_low(name):
     np.testing.assert_allclose(result.mean(), expected.mean(), **SAME)
 
 
-@pytest.mark.parametrize("method", ["vcm", "pm", "sppm"])
+@pytest.mark.parametrize("method", thinned(["vcm", "pm", "sppm"], ["vcm", "sppm"]))
 def test_another_seed_compiles_nothing(method):
     scene = problem()
     for _ in range(2):  # Dr.Jit writes the filter's small kernel in another order once it has seen its constants
@@ -298,7 +282,7 @@ def test_another_seed_compiles_nothing(method):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.mark.parametrize(("method", "sizes"), [("vcm", 3), ("auto", 2)])
+@pytest.mark.parametrize(("method", "sizes"), thinned([("vcm", 3), ("auto", 2)], [("vcm", 3)]))
 def test_pilot_and_pass_share_the_large_kernels(method, sizes):
     """Whatever their numbers of paths: of a run of ``auto``, compilation took more time than all the rest. The pilot
     has as many light as camera paths, as have the passes of ``auto`` that learn."""
@@ -331,7 +315,7 @@ def test_clipping_planes_do_not_matter(near, far):
         assert_agree(run(clipped, method, passes=6, samples=512, seed=3).images, expected.images, method)
 
 
-@pytest.mark.parametrize("name", thinned(METHODS, ("light", "vcm")))
+@pytest.mark.parametrize("name", thinned(METHODS, ("light",)))
 def test_even_points_have_the_same_mean(name):
     """Owen-scrambled points against independent numbers. A seed each: the passes of one are not independent."""
     method, settings = METHODS[name]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from support.running import Stepped, go, prepared, run
 from support.scenes import camera, diffuse, furnace, rgb
-from support.tables import thinned
 
 from etendue.core import CheckpointError, OptionError
 from etendue.film import relative_mse
@@ -27,7 +26,8 @@ def test_inside_a_furnace(after):
     assert abs(pictures.mean() - exact) < 4 * pictures.std(ddof=1) / np.sqrt(6) + 0.005 * exact
 
 
-@pytest.mark.parametrize("scene", thinned(["cornell-box", "cornell-glass"], ["cornell-box"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["cornell-box", "cornell-glass"])
 def test_the_light_of_path(scene):
     """In the mean within 1.5 %, also of light through glass onto diffuse surfaces, which no light point finds."""
     problem = load(scene, size=(32, 32))
@@ -76,6 +76,7 @@ def test_less_noise_than_path():
     assert errors[0] < 0.3 * errors[1]
 
 
+@pytest.mark.slow
 def test_depth_ends_the_paths_of_records():
     problem = load("cornell-box", size=(16, 16))
     for depth in (1, 2, 3):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared
+from support.tables import thinned
 
 from etendue import methods
 
@@ -21,7 +22,9 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(methods.table()))
+@pytest.mark.parametrize(
+    "name", thinned(sorted(methods.table()), ("guided", "vegas", "light", "pm", "sppm", "vcm", "mmlt", "ambient_path"))
+)
 def test_kernels_read_aligned_memory(name: str) -> None:
     """Memory that NumPy gave is aligned by chance, and the alignment is compiled into the kernels that read it."""
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -143,7 +146,11 @@ def unsteady(problem: Any, name: str, keys: tuple[str, ...], times: int) -> dict
     return {key: count for key, count in found.items() if count}
 
 
-@pytest.mark.parametrize("lamps", [("lamp", "ball", "point", "sky"), ("ball",)], ids=["many", "one"])
+@pytest.mark.parametrize(
+    "lamps",
+    [("lamp", "ball", "point", "sky"), pytest.param(("ball",), marks=pytest.mark.slow)],
+    ids=["many", "one"],
+)
 def test_a_changed_value_needs_no_kernel_of_its_own(lamps: tuple[str, ...]) -> None:
     assert unsteady(stage(lamps), "vcm", (f"{lamps[0]}.emitter.radiance.value", "floor.to_world"), 2) == {}
 

@@ -10,6 +10,7 @@ import pytest
 from support import scenes
 from support.running import mitsuba_path, replicas, run
 from support.statistics import assert_agree
+from support.tables import thinned
 
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "path": ("path", {}),
@@ -118,12 +119,15 @@ def test_spherical_lamps(name, method):
     compare(name, method)
 
 
-@pytest.mark.parametrize(("name", "method"), [("bent", "bpt power"), ("bent focused", "vcm"), ("bent", "light")])
+@pytest.mark.parametrize(
+    ("name", "method"),
+    thinned([("bent", "bpt power"), ("bent focused", "vcm"), ("bent", "light")], [("bent", "bpt power")]),
+)
 def test_mesh_lamps_with_vertex_normals(name, method):
     compare(name, method)
 
 
-@pytest.mark.parametrize("method", ["bpt", "light"])
+@pytest.mark.parametrize("method", thinned(["bpt", "light"], ["light"]))
 def test_a_spot_light_with_a_procedural_texture(method):
     compare("spot", method)
 

@@ -115,6 +115,7 @@ def test_other_materials(material):
     assert_agree(guided, plain, material, precision=0.03)
 
 
+@pytest.mark.slow
 def test_a_guide_that_has_learned_what_is_wrong():
     """It draws from classes at random: the mean is the same."""
     images = []

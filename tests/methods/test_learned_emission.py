@@ -182,6 +182,7 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 def test_learning_does_not_change_the_picture():
     name = next(iter(METHODS))  # others: with more seeds, below
     images = replicas(hidden_lamps(), name.split()[0], runs=8, passes=7, samples=32, **LEARNS, **METHODS[name])
@@ -202,6 +203,7 @@ def test_every_kind_of_light(emitter):
     assert_agree(images, mitsuba_path(problem, passes=6, samples=512), emitter, precision=0.03)
 
 
+@pytest.mark.slow
 def test_light_that_is_found_late():
     """A guide that has learned what is wrong gives each path of the lamp that matters a tenth of its chance, or less:
     the mean is the same, and it learns better."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.running import Run, Stepped, go, prepared, run
 from support.scenes import camera, diffuse, field, furnace, rgb
+from support.tables import thinned
 
 from etendue import methods, radiosity, trace_particles
 from etendue.core import CheckpointError, OptionError
@@ -63,7 +64,7 @@ def test_the_map_of_a_furnace(method):
     assert pictures.std() < 0.02
 
 
-@pytest.mark.parametrize("method", [*ENDING[:1], ENDING[3]])
+@pytest.mark.parametrize("method", thinned([*ENDING[:1], ENDING[3]], ENDING[:1]))
 def test_materials_that_also_mirror_or_gloss(method):
     """A ball under an even sky, E = pi L: paths go on through its coat, and along glossy reflections. Z-test."""
     for bsdf in (
@@ -134,7 +135,7 @@ def test_a_map_in_a_file(box, tmp_path):
     np.testing.assert_allclose(loaded.mean, inside.mean, rtol=1e-5)
 
 
-@pytest.mark.parametrize("method", [*ENDING[:1], ENDING[3]])
+@pytest.mark.parametrize("method", thinned([*ENDING[:1], ENDING[3]], ENDING[3:4]))
 def test_mirrors_and_null_surfaces_do_not_count(method):
     """Final gather at a floor that is seen through a mask and in a mirror is that of the floor seen directly: its light
     by the lamp, not by the map, which has none."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -58,7 +60,9 @@ def pictures(name: str, problem: object, passes: int = 6, samples: int = 256) ->
 # ------------------------------------------------------------------------------------------------ absorption
 
 
-@pytest.mark.parametrize("method", ABSORBING + CHAINS)
+@pytest.mark.parametrize(
+    "method", thinned(ABSORBING + CHAINS, ("path", "guided", "vegas", "light", "bpt", "vcm", "pssmlt"))
+)
 def test_beer_and_lambert(method):
     """A lamp through a coloured slab."""
     scene = slab(fog((0.1, 0.5, 0.9), 0.0, scale=3.0))
@@ -119,7 +123,7 @@ def test_tinted_glass():
 # ------------------------------------------------------------------------------------------------ scattering
 
 
-@pytest.mark.parametrize("name", SCATTERING)
+@pytest.mark.parametrize("name", thinned(SCATTERING, ("path", "light", "bpt", "vcm", "guided", "auto")))
 def test_furnace(name):
     """Nothing is absorbed in a closed surface of radiance 1: it is 1 everywhere."""
     problem = load(closed(fog(1.5, 1.0), emission=1.0, albedo=0.0))
@@ -140,8 +144,10 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("medium", thinned(SCENES, ("grey", "forward")))
-@pytest.mark.parametrize("name", SCATTERING)
+@pytest.mark.parametrize(
+    ("name", "medium"),
+    thinned(product(SCATTERING, SCENES), [(name, "forward") for name in ("path", "bpt", "vcm", "sppm", "guided")]),
+)
 def test_a_box_of_fog(name, medium):
     problem = load(closed(SCENES[medium]))
     if medium not in REFERENCES:
@@ -155,15 +161,20 @@ def test_a_box_of_fog(name, medium):
     assert_agree(images, reference, f"{name} {medium}", precision=0.1 if name == "light" else 0.03)
 
 
-@pytest.mark.parametrize("name", ["bpt", "bpt path power", "vcm", "sppm photons", "light"])
+@pytest.mark.parametrize("name", thinned(["bpt", "bpt path power", "vcm", "sppm photons", "light"], ["vcm"]))
 def test_extinction_by_colour(name):
     """Against ``path``, whose noise is low; ``volpath`` draws a channel once for a path and is too noisy in two."""
     problem = load(closed(COLOURED))
     assert_agree(pictures(name, problem), run(problem, "path", 6, 2048, first=100).images, name, precision=0.08)
 
 
-@pytest.mark.parametrize("bsdf", ["null", "dielectric", "thindielectric"])
-@pytest.mark.parametrize("name", ["path", "bpt", "vcm"])
+@pytest.mark.parametrize(
+    ("name", "bsdf"),
+    thinned(
+        product(["path", "bpt", "vcm"], ["null", "dielectric", "thindielectric"]),
+        [("path", "null"), ("bpt", "dielectric"), ("vcm", "thindielectric")],
+    ),
+)
 def test_a_ball_of_fog_under_a_sky_and_a_lamp(name, bsdf):
     """The lamp is in fog that its shape does not name."""
     facing = transform().translate([0, 0.3, 0]).rotate([1, 0, 0], 90).scale(0.3)
@@ -181,7 +192,7 @@ def test_a_ball_of_fog_under_a_sky_and_a_lamp(name, bsdf):
     assert_agree(pictures(name, problem, samples=512), reference, f"{name} {bsdf}", precision=0.04)
 
 
-@pytest.mark.parametrize("name", ["path", "bpt", "vcm"])
+@pytest.mark.parametrize("name", thinned(["path", "bpt", "vcm"], ["path", "bpt"]))
 def test_diffusion(name):
     r"""Deep in a medium that absorbs little, light falls as exp(-kappa r) / r, with kappa^2 = 3 sigma_a sigma_t in the
     limit of small absorption [Ishimaru 1978]: the ratio of the light seen at two depths behind a lit slab."""
@@ -232,14 +243,14 @@ def test_single_scattering_of_a_point_light(method):
     assert_agree(images, expected, method, block=1, precision=0.1 if method == "light" else 0.02)
 
 
-def test_boundaries_of_media_are_no_edges():
+@pytest.mark.parametrize("depth", thinned((1, 2, 3), (2,)))
+def test_boundaries_of_media_are_no_edges(depth):
     """As in ``volpath``: a path of two edges is seen through any number of them."""
     problem = load(slab(fog(1.0, 0.9), sky={"type": "constant"}))
-    for depth in (1, 2, 3):
-        reference = mitsuba_images(problem, volpath(depth), 6, 256, 1)
-        for method in ("path", "bpt"):
-            images = run(problem, method, 6, 256, max_depth=depth).images
-            assert_agree(images, reference, f"{method}, {depth} edges", block=2, precision=0.05)
+    reference = mitsuba_images(problem, volpath(depth), 6, 256, 1)
+    for method in ("path", "bpt"):
+        images = run(problem, method, 6, 256, max_depth=depth).images
+        assert_agree(images, reference, f"{method}, {depth} edges", block=2, precision=0.05)
 
 
 def test_small_scenes_are_scaled_with_their_media():
@@ -254,6 +265,7 @@ def test_small_scenes_are_scaled_with_their_media():
     np.testing.assert_allclose(etendue.render(small, "path", spp=256, seed=1).image.mean(), picture.mean(), rtol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["vcm", "sppm"])
 def test_resumed(method, tmp_path):
     scene, file = closed(fog()), tmp_path / "run.ckpt"
@@ -263,7 +275,7 @@ def test_resumed(method, tmp_path):
     np.testing.assert_allclose(again, whole, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize("method", ["path", "bpt", "vcm"])
+@pytest.mark.parametrize("method", thinned(["path", "bpt", "vcm"], ["vcm"]))
 def test_components_are_those_of_the_paths(method):
     """A collision is a scattering event: direct light is that of paths of two edges, all other light indirect."""
     scene = closed(fog())
@@ -295,7 +307,9 @@ def test_a_lamp_that_is_partly_in_fog():
 # ------------------------------------------------------------------------------------------------ heterogeneous
 
 
-@pytest.mark.parametrize("method", ["path", "vegas", "light", "bpt", "vcm", "pssmlt"])
+@pytest.mark.parametrize(
+    "method", thinned(["path", "vegas", "light", "bpt", "vcm", "pssmlt"], ["path", "light", "bpt"])
+)
 def test_a_grid_that_absorbs(method):
     """Extinction rises along the view, by colour: exp of its integral, in which null collisions have no share."""
     rising = np.linspace(0.0, 1.0, 9)[:, None, None, None] * [0.1, 0.3, 1.0]
@@ -322,9 +336,12 @@ SMOKE = {
 OF_SMOKE: dict[str, np.ndarray] = {}
 
 
-@pytest.mark.parametrize("kind", thinned(SMOKE, ("coloured", "albedos in fog")))
 @pytest.mark.parametrize(
-    "name", ["path", "light", "bpt", "bpt path power", "vcm", "vcm power", "sppm photons", "guided"]
+    ("name", "kind"),
+    thinned(
+        product(["path", "light", "bpt", "bpt path power", "vcm", "vcm power", "sppm photons", "guided"], SMOKE),
+        [*((name, "coloured") for name in ("path", "light", "bpt", "vcm")), ("path", "albedos in fog")],
+    ),
 )
 def test_a_box_of_smoke(name, kind):
     problem = load(closed(SMOKE[kind]()))
@@ -340,13 +357,16 @@ def test_a_box_of_smoke(name, kind):
     assert_agree(images, reference, f"{name} {kind}", precision=0.1 if name == "light" else 0.04)
 
 
-@pytest.mark.parametrize("name", ["path", "bpt", "vcm", "bpm", "sppm photons", "guided", "auto"])
+@pytest.mark.parametrize(
+    "name", thinned(["path", "bpt", "vcm", "bpm", "sppm photons", "guided", "auto"], ["path", "bpt", "sppm photons"])
+)
 def test_furnace_of_smoke(name):
     problem = load(closed(smoke(clouds(3), 1.0, scale=3.0), emission=1.0, albedo=0.0))
     images = pictures(name, problem)
     assert abs(images.mean() - 1.0) < 0.02 + 4.0 * images.mean((1, 2, 3)).std() / 5**0.5
 
 
+@pytest.mark.slow
 def test_merging_in_sparse_smoke_has_no_rare_bright_photons():
     """Layers of smoke with haze between them, a thousandth as dense, in a furnace: everywhere 1. Few photons collide in
     the haze, and in a ball around a point of a layer they count a thousandfold if divided by the extinction where they
@@ -365,6 +385,7 @@ def test_merging_in_sparse_smoke_has_no_rare_bright_photons():
         assert abs(images.mean() - 1.0) < 0.8 * radius + 4.0 * images.mean((1, 2)).std() / 11**0.5
 
 
+@pytest.mark.slow
 def test_a_constant_grid_is_fog():
     """Walks collide with the same density, whichever way they find a collision."""
     even = np.full((2, 2, 2, 3), [0.3, 1.0, 2.0])
@@ -454,20 +475,24 @@ def test_maps_are_refused(tmp_path):
         etendue.render(closed(fog()), "path", spp=1, map=str(tmp_path / "none.npz"))
 
 
-def test_phase_functions_by_mitsuba_s_name():
+PHASES = {
+    "isotropic": {},
+    "rayleigh": {},
+    "tabphase": {"values": "0.5, 1.0, 1.5"},
+    "blendphase": {"weight": 0.4, "a": {"type": "hg", "g": 0.6}, "b": {"type": "hg", "g": -0.5}},
+}
+
+
+@pytest.mark.parametrize("name", thinned(PHASES, ("blendphase",)))
+def test_phase_functions_by_mitsuba_s_name(name):
     """Each phase function of Mitsuba with one number for its shape, against ``volpath``."""
-    for phase in (
-        {"type": "isotropic"},
-        {"type": "rayleigh"},
-        {"type": "tabphase", "values": "0.5, 1.0, 1.5"},
-        {"type": "blendphase", "weight": 0.4, "a": {"type": "hg", "g": 0.6}, "b": {"type": "hg", "g": -0.5}},
-    ):
-        problem = load(closed(fog(1.5, 0.9, phase=phase)))
-        reference = mitsuba_images(problem, volpath(), 6, 512, 1)
-        for method in ("path", "bpt"):
-            assert_agree(run(problem, method, 6, 256).images, reference, f"{phase['type']} {method}", precision=0.04)
+    problem = load(closed(fog(1.5, 0.9, phase={"type": name} | PHASES[name])))
+    reference = mitsuba_images(problem, volpath(), 6, 512, 1)
+    for method in ("path", "bpt"):
+        assert_agree(run(problem, method, 6, 256).images, reference, f"{name} {method}", precision=0.04)
 
 
+@pytest.mark.slow
 def test_a_phase_function_in_python():
     """A third-party one."""
 

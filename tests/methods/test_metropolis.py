@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared, run
+from support.tables import thinned
 from support.tasks import rendering
 
 from etendue import methods
@@ -267,7 +268,7 @@ def test_a_bootstrap_of_a_number_of_paths_has_no_more(equalise, monkeypatch):
         assert 0.5 * paths < 2 * runner.start(1).large <= paths
 
 
-@pytest.mark.parametrize("method", ["pssmlt", "film_metropolis", "mmlt"])
+@pytest.mark.parametrize("method", thinned(["pssmlt", "film_metropolis", "mmlt"], ["pssmlt"]))
 def test_the_bootstrap_of_a_small_budget_is_no_more_than_its_first_pass(method, monkeypatch):
     """Of a whole job: the method is not prepared for a larger pass first."""
     started, start = [], Chains.start
@@ -295,6 +296,7 @@ def test_the_bias_of_the_start_is_of_the_target():
     assert facts["startup_bias"] == pytest.approx((1.0 + 0.25) / found[:, 0].sum())
 
 
+@pytest.mark.slow
 def test_a_filter_does_not_depend_on_what_is_accepted():
     """The chains of both reconstructions are the same, so their pictures have the same centre."""
     problem = scenes.room("rectangle", scenes.FEW, rfilter="gaussian")
@@ -333,7 +335,7 @@ def test_long_paths_of_a_white_room():
     assert abs(np.mean(images) - 10.0) < 4.5 * error
 
 
-@pytest.mark.parametrize("depth", [3, 14])
+@pytest.mark.parametrize("depth", thinned([3, 14], [3]))
 def test_the_probabilities_of_lengths(depth):
     runner = prepared(scenes.furnace("box", 1.0, 0.9, size=(4, 4)), "mmlt", max_depth=depth, bootstrap=1 << 10)
     u = (dr.arange(mi.Float, 1 << 16) + 0.5) / (1 << 16)
@@ -343,7 +345,14 @@ def test_the_probabilities_of_lengths(depth):
     np.testing.assert_allclose(found[np.array(length) - 1], np.array(probability), atol=1e-3)
 
 
-@pytest.mark.parametrize("method, settings", [("pssmlt", {}), ("pssmlt", {"estimator": "bidirectional"}), ("mmlt", {})])
+@pytest.mark.parametrize(
+    "method, settings",
+    [
+        ("pssmlt", {}),
+        pytest.param("pssmlt", {"estimator": "bidirectional"}, marks=pytest.mark.slow),
+        pytest.param("mmlt", {}, marks=pytest.mark.slow),
+    ],
+)
 def test_kernels_of_steps_are_traced_once(method, settings):
     """The picture is that of steps which are traced anew."""
     options = SMALL | settings | {"chains": 256, "step_size": 0.02, "large_steps": 0.25}

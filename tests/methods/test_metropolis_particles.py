@@ -74,7 +74,10 @@ def test_a_closed_box_receives_its_power_over_the_absorbed_share():
     assert flux == pytest.approx(power / (1 - albedo), rel=max(4 * error / flux, 1e-3))
 
 
-@pytest.mark.parametrize(("emitter", "group"), [("mixed", scenes.FEW), ("textured", "specular")])
+@pytest.mark.parametrize(
+    ("emitter", "group"),
+    [("mixed", scenes.FEW), pytest.param("textured", "specular", marks=pytest.mark.slow)],
+)
 def test_places_and_lengths_as_of_independent_paths(emitter, group):
     """Chi-square over shapes, quarters of them and bounces, with the variance between chains and between paths."""
     problem = scenes.room(emitter, group)
@@ -107,6 +110,7 @@ def test_places_and_lengths_as_of_independent_paths(emitter, group):
     assert stats.chi2.sf((scores**2).sum(), known.sum()) > LEVEL, np.round(scores, 1)
 
 
+@pytest.mark.slow
 def test_colours_are_those_of_independent_paths():
     problem = scenes.room("two", ())
     _, flux, _ = independent(problem, 1 << 17, 3, LONGEST)
@@ -156,6 +160,7 @@ def test_autocorrelation_time_grows_with_the_inverse_square_of_the_step():
     assert slope == pytest.approx(-2.0, abs=0.2), times
 
 
+@pytest.mark.slow
 def test_particles_are_described_as_those_of_particle_tracing():
     """Shape, primitive and parameters of a place, on triangles, rectangles and a sphere."""
     problem = scenes.room("mesh", scenes.FEW)
@@ -177,6 +182,7 @@ def test_particles_are_described_as_those_of_particle_tracing():
         np.testing.assert_allclose(sides[1], sides[3], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_null_surface_is_no_bounce():
     """Light that has crossed a screen arrives at the floor by its first bounce, as of particle tracing."""
     screen = {"type": "rectangle", "to_world": scenes.transform().rotate([1, 0, 0], -90).scale(2.0)}
@@ -197,6 +203,7 @@ def test_a_null_surface_is_no_bounce():
     assert measurement.counters["lost_steps"] == 0.0
 
 
+@pytest.mark.slow
 def test_groups_have_surfaces_of_their_own():
     """A mirror in a group has no particles, and a ball in it the parameters of a ball."""
     t = scenes.transform()
@@ -229,6 +236,7 @@ def test_groups_have_surfaces_of_their_own():
     assert set(thing.primitive) == set(stored.primitive[stored.shape == method.surfaces.names.index("thing")]) != {0}
 
 
+@pytest.mark.slow
 def test_a_path_that_is_lost_leaves_no_particle():
     """Found again at the start of a pass, some paths miss what they have hit; here many, as their numbers change."""
     problem = load(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared
+from support.tables import thinned
 
 from etendue import methods
 from etendue.scene import graph
@@ -71,7 +72,7 @@ def in_a_child(kind: str, names: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [kind if kind in ("emitters", "all") else pytest.param(kind, marks=pytest.mark.slow) for kind in KEPT]
+    "kind", [kind if kind == "emitters" else pytest.param(kind, marks=pytest.mark.slow) for kind in KEPT]
 )
 def test_parts_of_a_scene_that_is_gone_do_no_harm(kind):
     """An area light that outlives its scene has lost its shape: whoever calls it crashes the process."""
@@ -84,7 +85,7 @@ def test_lights_of_a_scene_that_is_gone_are_met_by_no_method(name):
     in_a_child("emitters", [name])
 
 
-@pytest.mark.parametrize("name", ["path", "bpt"])
+@pytest.mark.parametrize("name", thinned(["path", "bpt"], ["path"]))
 def test_other_scenes_are_no_part_of_kernels(name):
     """Their materials and lamps are not visited: no kernel is compiled anew for their sake."""
     problem = scenes.room("sphere", scenes.FEW)

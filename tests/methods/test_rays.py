@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import thinned
 
 from etendue import methods
 from etendue.core import OptionError, prepared
@@ -72,10 +73,16 @@ JOINS = {"next_event": Edge.NEXT_EVENT, "connection": Edge.CONNECTION, "merge": 
         # Without hits on the lamp, which joins do not contain: the pixel does not show it.
         ("path", {"mode": "next_event"}, {"image": Edge.NEXT_EVENT}),
         ("guided", {"mode": "next_event", "generations": 1}, {"image": Edge.NEXT_EVENT}),
-        ("bpt", {"split_layers": True}, {k: JOINS[k] for k in ("next_event", "connection")}),
-        ("bpt", {"split_layers": True, "light_source": "path"}, {"connection": Edge.CONNECTION}),
+        pytest.param(
+            *("bpt", {"split_layers": True}, {k: JOINS[k] for k in ("next_event", "connection")}),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *("bpt", {"split_layers": True, "light_source": "path"}, {"connection": Edge.CONNECTION}),
+            marks=pytest.mark.slow,
+        ),
         ("vcm", {"split_layers": True}, JOINS),
-        ("bpm", {"split_layers": True}, {"merge": Edge.MERGE}),
+        pytest.param("bpm", {"split_layers": True}, {"merge": Edge.MERGE}, marks=pytest.mark.slow),
     ],
 )
 def test_joins_add_up_to_the_light_of_the_pass(
@@ -128,7 +135,9 @@ def methods_scene() -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", ["bpt", "vcm", "bpm", "pm", "ppm", "sppm", "light", "auto"])
+@pytest.mark.parametrize(
+    "name", thinned(["bpt", "vcm", "bpm", "pm", "ppm", "sppm", "light", "auto"], ["vcm", "sppm", "light"])
+)
 def test_light_paths_lead_to_the_joins(glass: Problem, name: str) -> None:
     """A connection, a merge or a splat is at a vertex of the light path that it names, which is drawn."""
     many = {"light_paths": 32.0} if name.endswith("ppm") else {}  # so that there are photons within the first radius
@@ -148,7 +157,13 @@ def test_light_paths_lead_to_the_joins(glass: Problem, name: str) -> None:
         assert np.linalg.norm(ends - place, axis=1).min() < 1e-4
 
 
-@pytest.mark.parametrize("name", ["path", "vegas", "stratified", "guided", "light", "bpt", "vcm", "sppm", "auto"])
+@pytest.mark.parametrize(
+    "name",
+    thinned(
+        ["path", "vegas", "stratified", "guided", "light", "bpt", "vcm", "sppm", "auto"],
+        ["path", "guided", "sppm"],
+    ),
+)
 def test_a_pass_after_recording_is_the_same(box: Problem, name: str) -> None:
     plain, recorded = (made(name, box, samples_per_pass=4) for _ in range(2))
     (_, expected), (before, _) = passes(plain, PASSES + 1), passes(recorded)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from support.running import run
-from support.tables import RGB_SCENES, crossed
+from support.tables import RGB_SCENES, thinned
 
 from etendue import methods
 from etendue.scene import load
@@ -28,7 +28,14 @@ def render(problem, method, samples=4, **settings):
     assert result.mean.mean() > 0.0
 
 
-@pytest.mark.parametrize(("name", "method"), crossed(PUBLIC, methods.table(), 5))
+#: Methods of every kind, each scene once or twice.
+FAST = [
+    *(("cornell-box", "auto"), ("cbox-spheres", "bpt"), ("cbox-spheres", "film_metropolis")),
+    *(("veach-bidir", "sppm"), ("water-caustic", "pssmlt"), ("soda-shoppe", "vcm")),
+]
+
+
+@pytest.mark.parametrize(("name", "method"), thinned(itertools.product(PUBLIC, methods.table()), FAST))
 def test_public_scenes(name, method, scenes_dir):
     render(load(scenes_dir / name / "scene.xml", size=(32, 32)), method)
 

@@ -64,7 +64,7 @@ def expected(name):
     return mitsuba_path(scene(name), passes=6, samples=512)
 
 
-@pytest.mark.parametrize(("name", "method"), crossed(SCENES, METHODS, 3))
+@pytest.mark.parametrize(("name", "method"), crossed(SCENES, METHODS, 6))
 def test_methods_agree(name, method):
     reference = expected(name)
     problem = scene(name)

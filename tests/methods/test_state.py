@@ -55,8 +55,7 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
 #: Bytes: enough for the light vertices of a pass, and not for six times as many.
 MEMORY = 1_200_000
 #: Those of :data:`LEARNERS` that the fast tests run.
-FAST = ["guided within a generation", "guided in the midst of that", "auto", "vegas at a change", "sppm", "pssmlt"]
-FAST += ["bpt connections"]
+FAST = ["guided within a generation", "vegas at a change", "sppm", "pssmlt"]
 #: Photons are summed in another order in each run.
 IN_ANY_ORDER = {"rtol": 1e-4, "atol": 1e-6}
 

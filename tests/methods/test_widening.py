@@ -58,6 +58,7 @@ def test_no_trial_where_discs_are_full():
     assert not full.runs and not full.begins and full.factor == 1.0
 
 
+@pytest.mark.slow
 def test_a_run_resumes_within_the_trial():
     """Equal to a run that was not interrupted, but for the order of atomic additions."""
     problem = scene.load("caustics", size=(32, 24))

@@ -108,6 +108,7 @@ def test_low_discrepancy():
     assert -0.65 < np.log(plain[2] / plain[0]) / np.log(16) < -0.35
 
 
+@pytest.mark.slow
 def test_points_of_lines_are_more_even_than_independent_ones():
     """4096 points of four dimensions: each pair of dimensions exactly, all four by the mean square over all boxes."""
     n, pairs = 4096, list(itertools.combinations(range(4), 2))

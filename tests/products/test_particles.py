@@ -59,6 +59,7 @@ def test_a_number_of_particles_is_about_reached_and_goes_on(tmp_path):
     assert len(etendue.read_particles(path)) == more.counters["particles"]
 
 
+@pytest.mark.slow
 def test_a_small_budget_of_chains_has_small_passes():
     made = etendue.trace_particles("cornell-box", method="metropolis_particles", paths=1000, bootstrap=1024)
     assert 1000 <= made.counters["paths"] < 1500 and made.passes >= 4

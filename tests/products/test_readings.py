@@ -148,6 +148,7 @@ def test_reflections_in_a_closed_room(method):
     assert found.errors.max() < 0.01 * expected
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_repeated_runs():
     scene = room(0.5, lamp=point([0.5, 0.4, 0.3]))
     points = [[0, 0, z] for z in np.linspace(-0.9, 0.9, 16)]

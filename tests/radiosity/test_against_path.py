@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 import numpy as np
+import pytest
 from scipy import stats
 from support.running import run
 from support.scenes import diffuse, rgb, transform
@@ -53,6 +54,7 @@ def picture(problem, max_area, grid=24):
     return radiance.reshape(HEIGHT, grid, WIDTH, grid, 3).mean(axis=(1, 3))
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_solution_is_that_of_path():
     """Pixel by pixel. What patches blur is known from patches of four times the area, as it falls with the area."""
     problem = diffuse_room()

@@ -39,6 +39,7 @@ def test_bundles_have_more_lines_for_a_smaller_error_of_many_patches():
     assert splits[1].each / splits[2].each == pytest.approx((0.003 / 0.01) ** 0.8)
 
 
+@pytest.mark.slow
 def test_so_many_lines_have_less_variance_than_as_many_in_other_bundles():
     patches = room(24)
     split, centres = split_for(patches, 0.01), patches.centres

@@ -248,6 +248,7 @@ def glowing_cube():
     return cube(2, reflectance=0.5, emission=np.arange(24) < 4)
 
 
+@pytest.mark.slow
 def test_a_budget_in_error_ends_where_the_scatter_over_seeds_says():
     stated, scatter = ends(glowing_cube(), 0.012, 12, replicates=8)
     assert stated == pytest.approx(0.012, rel=0.15) and scatter == pytest.approx(0.012, rel=0.25)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.patches import box, joined, square
+from support.tables import thinned
 
 from etendue.points import OwenSobol
 from etendue.radiosity import ABuffer, Patches, RadiosityError, exact_form_factors, form_factors, scene_patches
@@ -36,8 +37,8 @@ def test_the_faces_of_the_helper():
 @pytest.mark.parametrize(
     "bodies",
     [
-        [((1, 1, 0), (1.7, 1.6, 1))],
-        [((0, 0, 0), (0.7, 1.6, 1))],  # in a corner: on three walls
+        pytest.param([((1, 1, 0), (1.7, 1.6, 1))], marks=pytest.mark.slow),
+        pytest.param([((0, 0, 0), (0.7, 1.6, 1))], marks=pytest.mark.slow),  # in a corner: on three walls
         [((1, 1, 0), (1.7, 1.6, 1)), ((1.1, 1.2, 1), (1.9, 1.5, 1.8))],  # the upper one juts out
     ],
 )
@@ -85,7 +86,7 @@ def test_rooms_that_share_walls_do_not_see_each_other():
     np.testing.assert_allclose(both[6:, 6:], matrix_of(high)[0], atol=1e-9)
 
 
-@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("first", thinned([0, 1], [0]))
 def test_three_faces_in_one_place(first):
     """A cupboard at a wall that two rooms share, and a box on the floor of the upper of two rooms: lines find an
     arbitrary order there. Each room is as if it was alone."""
@@ -187,6 +188,7 @@ def test_a_floor_that_cuts_a_box_sees_the_inside_of_it():
     assert np.abs((factors.row_sums() + factors.dark)[floor] - 1).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_cornell_box():
     patches = scene_patches("cornell-box")
     exact, lines = exact_form_factors(patches), form_factors(ABuffer(patches).cast(1024, warn=False))

@@ -104,6 +104,7 @@ def test_what_has_no_daylight_is_refused():
         daylight_of_patches(directed(plane, 16, 2), patches=plane.with_properties(reflectance=np.full((1, 2), 0.5)))
 
 
+@pytest.mark.slow
 def test_a_run_its_files_and_its_resumption(tmp_path):
     tower = Patches(*box((0, 0, 0), (1, 1, 3), 2), reflectance=0.4)
     files, weather = [tmp_path / name for name in ("c.mtx", "c.npz", "c.csv")], written(tmp_path, year())

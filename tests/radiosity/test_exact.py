@@ -16,6 +16,7 @@ from support.patches import (
     room,
     square,
 )
+from support.tables import thinned
 
 from etendue.points import OwenSobol
 from etendue.radiosity import (
@@ -207,6 +208,7 @@ def test_what_is_sampled_has_no_bias():
         assert 0.3 < np.mean(off[is_sampled] ** 2) / np.mean(errors[is_sampled] ** 2) < 1.5
 
 
+@pytest.mark.slow
 def test_distant_pairs_by_points():
     """Triangles, against Gauss's rule of 12 x 12 points, within the error for which their distance is asked."""
     rules, random = compiled("factors.distant"), np.random.default_rng(3)
@@ -255,7 +257,7 @@ def test_coplanar_occluders_are_joined():
 
 
 @pytest.mark.parametrize("is_crossing", [False, True])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", thinned(range(3), [0]))
 def test_random_triangles(seed, is_crossing):
     """Triangles that hide each other in any way, against rays between points of two, whose variance is finite if they
     do not touch; and those that cross each other, against lines."""

@@ -272,7 +272,7 @@ def agreement(halves, expected, areas):
     return np.sqrt(max((areas * one * other).sum() / (areas * expected**2).sum(), 0))
 
 
-@pytest.mark.parametrize("shot", [1.0, 0.0], ids=["shot", "lines"])
+@pytest.mark.parametrize("shot", [1.0, pytest.param(0.0, marks=pytest.mark.slow)], ids=["shot", "lines"])
 def test_without_copies_it_is_flat_multipath(shot):
     """A hierarchy of no box has no bias: form factors of the same room, within the scatter."""
     patches = room(4, reflectance=0.5, emission=np.eye(1, len(room(4)), 3)[0] * 10)
@@ -467,6 +467,7 @@ def test_boxes_may_touch_each_other_and_walls():
     )
 
 
+@pytest.mark.slow
 def test_one_object_larger_than_the_room_and_all_in_one():
     """Objects that enclose or overlap each other are in one box or in none; the light is that without boxes."""
     patches = room(3, emission=np.eye(1, len(room(3)), 0)[0] * 10, reflectance=0.5)

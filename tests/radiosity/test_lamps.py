@@ -120,6 +120,7 @@ def test_a_luminaire_and_a_sky_of_the_profession(tmp_path):
     assert np.allclose(lux, 10_000.0, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_workers_have_the_light():
     here, there = (
         etendue.solve_radiosity(room(point=POINT), "multipath", max_area=0.5, points=1 << 14, workers=n)

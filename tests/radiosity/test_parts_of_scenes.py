@@ -104,6 +104,7 @@ def test_a_scene_with_instances_is_that_with_its_shapes(scene, tmp_path):
     assert error.shape == one.irradiance.shape
 
 
+@pytest.mark.slow
 def test_form_factors_of_instances_are_those_of_their_shapes(scene):
     """All instances in one mesh, each of them an object: what is in the place of an instance sees the
     same."""

@@ -181,6 +181,7 @@ def check(mesh, place):
         assert off[i, j] < 5.5, (i, j, n, shares[i, j], wanted[i, j], errors[i, j])
 
 
+@pytest.mark.slow
 @given(mesh=rooms(), place=places())
 @FEW
 def test_rooms_with_boxes(mesh, place):

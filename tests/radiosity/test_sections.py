@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from support.patches import cube
+from support.tables import thinned
 
 from etendue.radiosity import Patches, RadiosityError, SpiralPoints, exact_form_factors, form_factors
 from etendue.radiosity.lines.abuffer import ABuffer
@@ -79,7 +80,7 @@ def test_sheets_of_two_sides():
     np.testing.assert_allclose(one.row_sums(), 1, atol=1e-11)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", thinned(range(3), [0]))
 def test_lines_of_the_endless_domain_agree(seed):
     patches = scattered(15, seed, 0.3)
     exact = exact_form_factors(patches)

@@ -52,6 +52,7 @@ def lit(patches):
     return patches.with_properties(reflectance=0.6, emission=lamp.astype(float))
 
 
+@pytest.mark.slow
 def test_a_first_shot_pays():
     """At equal lines: half of them from the lamp and half through the scene, against all through the scene. Measured:
     0.4 of the mean squared error; the means agree."""

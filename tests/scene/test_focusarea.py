@@ -11,6 +11,7 @@ import pytest
 from support import scenes
 from support.running import mitsuba_images, run
 from support.statistics import assert_agree, assert_mean
+from support.tables import crossed
 
 import etendue
 from etendue.scene import load
@@ -128,8 +129,7 @@ def test_mitsubas_particles_agree_with_its_paths():
     assert_agree(particles, reference, "ptracer")
 
 
-@pytest.mark.parametrize("mode", ["mis", "naive"])
-@pytest.mark.parametrize("row", ["rectangle", "sphere", "textured"])
+@pytest.mark.parametrize(("mode", "row"), crossed(["mis", "naive"], ["rectangle", "sphere", "textured"], 2))
 def test_the_path_of_etendue_agrees(row, mode):
     """By next event and hits, and by hits alone."""
     light = lamp(4.0, row == "textured", "sphere" if row == "sphere" else "rectangle")

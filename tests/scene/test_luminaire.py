@@ -16,6 +16,7 @@ from support.luminaires import eulumdat, ies, lambertian, lopsided
 from support.running import mitsuba_path, replicas, run
 from support.spectral import spectral_variant
 from support.statistics import LEVEL, assert_agree, assert_mean
+from support.tables import thinned
 
 from etendue.conformance import check_emitter
 from etendue.core import IndependentSource, OptionError, SceneError
@@ -227,18 +228,21 @@ REPLICAS: dict[str, tuple[int, dict[str, Any]]] = {
 
 @pytest.mark.parametrize(
     ("method", "name"),
-    [
-        ("light", "lopsided"),
-        ("bpt", "narrow"),
-        ("bpt learned", "lopsided"),
-        ("vcm", "lopsided"),
-        ("guided", "lopsided"),
-        ("auto", "narrow"),
-        ("sppm", "lopsided"),
-        ("pssmlt", "narrow"),
-        ("mmlt", "lopsided"),
-        ("mitsuba", "narrow"),
-    ],
+    thinned(
+        [
+            ("light", "lopsided"),
+            ("bpt", "narrow"),
+            ("bpt learned", "lopsided"),
+            ("vcm", "lopsided"),
+            ("guided", "lopsided"),
+            ("auto", "narrow"),
+            ("sppm", "lopsided"),
+            ("pssmlt", "narrow"),
+            ("mmlt", "lopsided"),
+            ("mitsuba", "narrow"),
+        ],
+        [("light", "lopsided"), ("bpt", "narrow"), ("vcm", "lopsided"), ("guided", "lopsided"), ("mitsuba", "narrow")],
+    ),
 )
 def test_methods_agree(method, name, folder):
     """Light paths, connections, merges, photons, guides, chains and learned directions against ``path``, beside another
@@ -256,6 +260,7 @@ def test_methods_agree(method, name, folder):
     assert_agree(images, reference, (method, name), precision=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["bpt", "light"])
 def test_spectral_methods_agree(method, folder):
     color = {"type": "blackbody", "temperature": 2700.0}

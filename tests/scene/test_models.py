@@ -16,6 +16,7 @@ from support.patches import box
 from support.running import run
 from support.spectral import spectral_variant
 from support.statistics import assert_agree
+from support.tables import crossed
 
 from etendue.core import SceneError
 from etendue.scene import load, portable, restored, scene_xml
@@ -247,8 +248,9 @@ def test_a_model_without_camera_and_light(tmp_path, caplog):
     assert picture[0, 0] == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("extent", [(1, 1, 1), (30, 6, 20), (2, 5, 2), (4, 3, 12)])
-@pytest.mark.parametrize("size", [(64, 48), (48, 72)])
+@pytest.mark.parametrize(
+    ("extent", "size"), crossed([(1, 1, 1), (30, 6, 20), (2, 5, 2), (4, 3, 12)], [(64, 48), (48, 72)], 2)
+)
 def test_a_bare_mesh_is_seen_whole_and_its_sides_differ(tmp_path, caplog, extent, size):
     """Whatever its shape and that of the picture: the border is sky, and three sides have light of their own."""
     vertices, faces = box((5, 5, 5), np.add(5, extent), 1)

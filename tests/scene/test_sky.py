@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.statistics import assert_mean
+from support.tables import crossed
 
 import etendue
 from etendue import conformance
@@ -154,8 +155,7 @@ def test_conformance(sky):
     assert [f for f in findings if f.verdict == "fail"] == []
 
 
-@pytest.mark.parametrize("up", ["z", "y"])
-@pytest.mark.parametrize("method", ["path", "bpt", "vcm", "auto", "guided", "sppm"])
+@pytest.mark.parametrize(("method", "up"), crossed(["path", "bpt", "vcm", "auto", "guided", "sppm"], ["z", "y"], 3))
 def test_methods(method, up):
     """A floor under an open sky with sun: radiance = albedo E / (pi 683)."""
     turn = scenes.transform().rotate([1, 0, 0], -90) if up == "y" else None
@@ -171,8 +171,7 @@ def test_light_paths():
     assert_mean(values.reshape(6, 2, 6, 2).mean((1, 3)).ravel(), 10_000.0)
 
 
-@pytest.mark.parametrize("up", ["z", "y"])
-@pytest.mark.parametrize("loaded", [False, True])
+@pytest.mark.parametrize(("loaded", "up"), crossed([True, False], ["y", "z"], 2))
 def test_mitsubas_particle_tracer(loaded, up):
     """Rays of the sky itself, from the sphere around the scene that its parameters tell, or étendue."""
     turn = scenes.transform().rotate([1, 0, 0], -90) if up == "y" else scenes.transform()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.tables import thinned
 
 from etendue.radiosity import Patches, diagnose, scene_patches
 from etendue.scene import bundled_scene
@@ -77,7 +78,7 @@ def test_the_water_fills_the_glass():
         assert volume((points, faces, points)) > 0.0
 
 
-@pytest.mark.parametrize("name", BLOCKS)
+@pytest.mark.parametrize("name", thinned(BLOCKS, [*BLOCKS][::3]))
 def test_scenes_of_blocks_are_radiosity_problems(name):
     """The patches of the Mitsuba scene are the triangles of those of the thesis's experiments."""
     vertices, faces, reflectance, emission, _ = BLOCKS[name]().patches()

@@ -130,6 +130,7 @@ def test_transforms_of_loaded_scenes(kind, tmp_path):
                 load(loaded)
 
 
+@pytest.mark.slow
 def test_the_scale_of_an_environment_changes_no_picture(tmp_path, caplog):
     pictures = {}
     for scale in (1.0, 4.0, 0.2):  # a warning is given once for each text

@@ -83,7 +83,7 @@ def surface(material: str, lanes: int = 1) -> tuple[Any, Any]:
     return scene, si
 
 
-@pytest.mark.parametrize(("material", "scatter"), crossed(MATERIALS, [scatter_camera, scatter_uniform], 2))
+@pytest.mark.parametrize(("material", "scatter"), crossed(MATERIALS, [scatter_camera, scatter_uniform], 3))
 def test_directions_follow_the_density_that_is_claimed(material, scatter):
     """Of scattered directions in each part of the square: the mean of 1 / p is its solid angle, and where light points
     ask for it the density is the same one."""

@@ -62,7 +62,7 @@ def test_a_body_that_changes_little_is_traced_once():
     ("method", "labels"),
     [
         ("path", {"path"}),
-        ("light", {"light walk"}),
+        pytest.param("light", {"light walk"}, marks=pytest.mark.slow),
         ("vcm", {"light walk", "camera walk"}),
         ("guided", {"guided path"}),
         ("sppm", {"light walk", "photon gathering"}),
