@@ -40,32 +40,38 @@ def build(low: Any, high: Any) -> Any:
     corners = np.empty((2 * count + 1, 2, 3))
     links = np.zeros((2 * count + 1, 3), np.int64)
     stack = np.empty((_DEPTH, 4), np.int64)
-    stack[0] = 0, count, -1, 0
+    # By numbers: to assign, fill or reduce arrays takes Numba some seconds to compile.
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, count, -1, 0
     top, made, deepest = 1, 0, 0
+    first, last, middle_low, middle_high = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     bins_low, bins_high = np.empty((_BINS, 3)), np.empty((_BINS, 3))
     bins, area = np.empty(_BINS, np.int64), np.empty(_BINS)
     while top > 0:
         top -= 1
-        begin, end, parent, depth = stack[top]
+        begin, end, parent, depth = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
         deepest = max(deepest, depth)
         node = made
         made += 1
         if parent >= 0:
             links[parent, 0] = node
-        first, last = np.full(3, np.inf), np.full(3, -np.inf)
-        middle_low, middle_high = np.full(3, np.inf), np.full(3, -np.inf)
+        _empty_box(first, last)
+        _empty_box(middle_low, middle_high)
         for k in range(begin, end):
             for a in range(3):
                 x, y = low[order[k], a], high[order[k], a]
                 first[a], last[a] = min(first[a], x), max(last[a], y)
                 middle_low[a], middle_high[a] = min(middle_low[a], x + y), max(middle_high[a], x + y)
-        corners[node, 0], corners[node, 1] = first, last
-        axis = np.argmax(middle_high - middle_low)
-        width = middle_high[axis] - middle_low[axis]
+        axis, width = 0, middle_high[0] - middle_low[0]
+        for a in range(3):
+            corners[node, 0, a], corners[node, 1, a] = first[a], last[a]
+            if middle_high[a] - middle_low[a] > width:
+                axis, width = a, middle_high[a] - middle_low[a]
         if end - begin <= _LEAF or width <= 0 or depth == _DEPTH - 1:
             links[node, 0], links[node, 1] = begin, end - begin
             continue
-        bins[:], bins_low[:], bins_high[:] = 0, np.inf, -np.inf
+        for b in range(_BINS):
+            bins[b] = 0
+            _empty_box(bins_low[b], bins_high[b])
         for k in range(begin, end):
             p = order[k]
             b = min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1)
@@ -73,14 +79,15 @@ def build(low: Any, high: Any) -> Any:
             for a in range(3):
                 bins_low[b, a], bins_high[b, a] = min(bins_low[b, a], low[p, a]), max(bins_high[b, a], high[p, a])
         # Area times number of primitives on the right of each split, then on its left.
-        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
+        _empty_box(first, last)
+        n = 0
         for b in range(_BINS - 1, 0, -1):
             n += bins[b]
             for a in range(3):
                 first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
             area[b] = n * _half_area(first, last) if n else 0.0
-        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
-        best, cut = np.inf, 1
+        _empty_box(first, last)
+        n, best, cut = 0, np.inf, 1
         for b in range(_BINS - 1):
             n += bins[b]
             for a in range(3):
@@ -97,10 +104,17 @@ def build(low: Any, high: Any) -> Any:
                 order[left], order[right] = order[right], order[left]
                 right -= 1
         links[node, 2] = axis
-        stack[top] = left, end, node, depth + 1
-        stack[top + 1] = begin, left, -1, depth + 1
-        top += 2
+        stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = left, end, node, depth + 1
+        top += 1
+        stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = begin, left, -1, depth + 1
+        top += 1
     return corners[:made].copy(), links[:made].copy(), order, deepest
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _empty_box(low: Any, high: Any) -> None:
+    for a in range(3):
+        low[a], high[a] = np.inf, -np.inf
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
@@ -141,7 +155,8 @@ def overlapping(corners: Any, normals: Any, areas: Any, tree: Any, margin: Any) 
                     continue
                 if count == len(found):
                     wider = np.empty((2 * count, 2), np.int64)
-                    wider[:count] = found
+                    for i in range(count):
+                        wider[i, 0], wider[i, 1] = found[i, 0], found[i, 1]
                     found = wider
                 found[count, 0], found[count, 1] = a, b
                 count += 1

@@ -213,5 +213,8 @@ def _box(corners: Array) -> Array:
     """Bounds (2, 3) of corners (s, 4, 3)."""
     box = np.empty((2, 3))
     for c in range(3):
-        box[0, c], box[1, c] = corners[:, :, c].min(), corners[:, :, c].max()
+        box[0, c] = box[1, c] = corners[0, 0, c]
+        for k in range(len(corners)):
+            for i in range(4):
+                box[0, c], box[1, c] = min(box[0, c], corners[k, i, c]), max(box[1, c], corners[k, i, c])
     return box

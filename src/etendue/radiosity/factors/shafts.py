@@ -64,7 +64,7 @@ def _shaft(a: Array, b: Array, hull: Array) -> int:
                 if x * outward_x * y * outward_y >= 0.0:
                     continue
                 length = math.sqrt(x * x + y * y)
-                hull[count] = 0.0
+                hull[count, 3 - i - j] = 0.0
                 hull[count, i], hull[count, j] = -outward_x * abs(y) / length, -outward_y * abs(x) / length
                 hull[count, 3] = hull[count, i] * a[s, i] + hull[count, j] * a[t, j]
                 count += 1
@@ -188,7 +188,8 @@ def _hull(p: Array, of_p: Array, q: Array, of_q: Array, hull: Array) -> int:
     """Write the planes of the hull of two polygons to ``hull``, a little inside of it, and return their number."""
     count = _touching(p, of_p, q, hull)
     count += _touching(q, of_q, p, hull[count:])
-    hull[count], hull[count + 1] = of_p, of_q
+    for c in range(4):
+        hull[count, c], hull[count + 1, c] = of_p[c], of_q[c]
     hull[count, 3] += _BETWEEN
     hull[count + 1, 3] += _BETWEEN
     return count + 2

@@ -320,5 +320,6 @@ def _is_pair(
 @njit(nogil=True, cache=True, error_model="numpy")
 def _grown(rows: Any) -> Any:
     wider = np.empty((2 * len(rows), 2), np.int32)
-    wider[: len(rows)] = rows
+    for k in range(len(rows)):  # to assign arrays takes Numba some seconds to compile
+        wider[k, 0], wider[k, 1] = rows[k, 0], rows[k, 1]
     return wider

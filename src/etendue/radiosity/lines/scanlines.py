@@ -73,11 +73,11 @@ def rasterise(
     heads = np.empty(1, np.int32)
     hits, nexts = np.empty(room, np.uint64), np.empty(room, np.int32)
     order = np.empty(64, np.uint64)
-    last = np.zeros(len(frames) + 1, np.int64)
-    zero = last[0]  # loops that are given a constant would be compiled once more, for it alone
+    counts = np.zeros(len(frames), np.int64)
+    zero = counts[0]  # loops that are given a constant would be compiled once more, for it alone
     pairs, made = np.empty((room * (len(frames) + 3) * 3 // 5, 2), np.uint32), zero
     for b in range(len(frames)):
-        last[b + 1] = made
+        before = made
         low_x, high_x, low_y, high_y = _project(vertices, frames[b], shifts[b], spacing, place)
         if reach < np.inf:
             x, y = -shifts[b, 0], -shifts[b, 1]
@@ -94,7 +94,8 @@ def rasterise(
             continue
         if columns * rows > len(heads):
             heads = np.empty(columns * rows, np.int32)
-        heads[: columns * rows] = _NONE
+        for line in range(columns * rows):
+            heads[line] = _NONE
         face, count, wanted = zero, zero, zero
         while True:
             face, count, wanted = _fill(place, faces, window, columns, rows, skew, heads, hits, nexts, face, count)
@@ -112,8 +113,8 @@ def rasterise(
             if line == columns * rows:
                 break
             order = np.empty(2 * len(order), np.uint64)
-        last[b + 1] = made
-    return pairs[:made], np.diff(last)
+        counts[b] = made - before
+    return pairs[:made], counts
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -358,12 +359,14 @@ def _kind(k: int, order: NDArray[np.uint64], coincident: NDArray[np.uint8]) -> i
 @njit(nogil=True, cache=True, error_model="numpy")
 def _grown(array: NDArray[G], size: int, used: int) -> NDArray[G]:
     larger = np.empty(size, array.dtype)
-    larger[:used] = array[:used]
+    for k in range(used):
+        larger[k] = array[k]
     return larger
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _grown_pairs(array: NDArray[G], size: int, used: int) -> NDArray[G]:
     larger = np.empty((size, 2), array.dtype)
-    larger[:used] = array[:used]
+    for k in range(used):
+        larger[k, 0], larger[k, 1] = array[k, 0], array[k, 1]
     return larger
