@@ -151,7 +151,7 @@ def _sizes(text: str) -> list[tuple[int, int]]:
 
 
 def memory(
-    names: Methods = "path,bpt,vcm,sppm,auto",
+    names: Methods = "vcm",
     sizes: Annotated[
         Any, typer.Option(parser=_sizes, help="Sizes, separated by commas.", metavar="WxH,...")
     ] = "1920x1080,3840x2160",
