@@ -17,7 +17,7 @@ import typer
 from etendue.radiosity import ABuffer, Patches, Segments, SpiralPoints, exact_form_factors
 
 from .exchanges import smooth_radiosity
-from .measuring import Record, verdict
+from .measuring import Record, rms, verdict
 from .options import Bundles, whole_numbers
 
 #: Facets up to which integrals are computed, and how many times the bundles of a run they are compared to.
@@ -74,7 +74,7 @@ def measure(
                 found.append((_sky(segments), segments.gather(radiosity)))
             (sky, other_sky), (gathered, other) = zip(*found, strict=True)
             mean = gathered.mean()
-            errors = _rms(sky - other_sky) / np.sqrt(2), _rms(gathered - other) / mean / np.sqrt(2)
+            errors = rms(sky - other_sky) / np.sqrt(2), rms(gathered - other) / mean / np.sqrt(2)
             cells = *(f"{cpu:.2f}", f"{wall:.2f}"), *(f"{error:.2g}" for error in errors)
             record.add(f"{number} bundles of {lines}", n, *cells, f"{segments.nbytes / 1e9:.2f} GB")
         if bar := _ERROR_BARS.get(len(patches)):
@@ -89,7 +89,7 @@ def measure(
         spent = time.process_time() - began[0], time.perf_counter() - began[1]
         reference, _, _ = _cast(patches, 2, _MORE * bundles, _LINES)
         off = factors.sky - _sky(reference), (factors.matrix @ radiosity - reference.gather(radiosity)) / mean
-        record.add("integrals", n, *(f"{seconds:.2f}" for seconds in spent), *(f"{_rms(x):.2g}" for x in off), "")
+        record.add("integrals", n, *(f"{seconds:.2f}" for seconds in spent), *(f"{rms(x):.2g}" for x in off), "")
     record.notes.append(
         f"bundles of so many lines a facet; integrals: rows to {tolerance:g}, beside {_MORE * bundles} bundles with "
         "their error"
@@ -107,7 +107,3 @@ def _cast(patches: Patches, seed: int, bundles: int, lines: int) -> tuple[Segmen
 def _sky(segments: Segments) -> np.ndarray:
     """The share of the sky in what each facet sees."""
     return 1 - segments.gather(np.ones(len(segments.dark))) - segments.dark
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

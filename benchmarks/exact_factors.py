@@ -7,7 +7,7 @@ and of F J for a radiosity J that varies smoothly, in units of its mean.
 from __future__ import annotations
 
 import tempfile
-import time
+from collections import defaultdict
 from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
@@ -20,10 +20,10 @@ from etendue.radiosity import Patches, exact_form_factors, read_patches
 
 from . import peer_view3d
 from .exchanges import smooth_radiosity
-from .measuring import Record, verdict
+from .measuring import Clock, Record, rms, timed, verdict
 from .options import words
 
-#: Tolerances of integrals in files and in the L-shaped room, and of how much finer a one the reference is.
+#: Tolerances of integrals in files and in the L-shaped room, and by how much that of the reference is finer.
 _TOLERANCES, _OF_ROOM, _FINER = (1e-3, 5e-4), 3e-6, 100
 #: Seconds in the L-shaped room; CPU time to View3D's for an error that is not larger.
 _ROOM_BAR, _BAR = 0.1, 1.0
@@ -67,23 +67,26 @@ def _add(record: Record, path: Path, tolerances: tuple[float, ...], rounds: int,
     """Rows of a file, and how integrals compare with View3D."""
     patches = read_patches(path)
     fine = exact_form_factors(patches, min(tolerances) / _FINER).matrix.toarray()
-    runs: dict[str, list[tuple[float, float, Array]]] = {}
+    clocks: defaultdict[str, list[Clock]] = defaultdict(list)
+    matrices: dict[str, Array] = {}
+
+    def integrate(name: str, tolerance: float) -> None:
+        matrices[name] = exact_form_factors(patches, tolerance).matrix.toarray()
+
     for _ in range(rounds):
         for tolerance in tolerances:
-            began = time.process_time(), time.perf_counter()
-            matrix = exact_form_factors(patches, tolerance).matrix
-            run = time.process_time() - began[0], time.perf_counter() - began[1], matrix.toarray()
-            runs.setdefault(f"integrals to {tolerance:g}", []).append(run)
+            name = f"integrals to {tolerance:g}"
+            clocks[name].append(timed(integrate, name, tolerance))
         if view3d:
-            seconds, matrix = peer_view3d.run(view3d, path)
-            runs.setdefault("View3D", []).append((seconds, seconds, matrix))
+            seconds, matrices["View3D"] = peer_view3d.run(view3d, path)
+            clocks["View3D"].append(Clock(seconds, seconds))
     radiosity, found = _radiosity(patches), {}
-    for name, rows in runs.items():
-        cpu, wall = (median(row[k] for row in rows) for k in range(2))
-        off = rows[-1][2] - fine
-        error = _rms(off.sum(axis=1))
+    for name, matrix in matrices.items():
+        cpu, wall = median(clock.cpu for clock in clocks[name]), median(clock.wall for clock in clocks[name])
+        off = matrix - fine
+        error = rms(off.sum(axis=1))
         found[name] = cpu, error
-        errors = f"{error:.2g}", f"{_rms(off @ radiosity) / radiosity.mean():.2g}"
+        errors = f"{error:.2g}", f"{rms(off @ radiosity) / radiosity.mean():.2g}"
         record.add(path.stem, str(len(patches)), name, f"{cpu:.3f}", f"{wall:.3f}", *errors)
     if view3d:
         cpu, error = found.pop("View3D")
@@ -98,7 +101,3 @@ def _radiosity(patches: Patches) -> Array:
     """That of rooms, over the box of the mesh."""
     centres = patches.centres - patches.centres.min(axis=0)
     return smooth_radiosity(centres / np.ptp(patches.centres, axis=0).max())
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -17,6 +17,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from etendue.formats import read_view3d
+
 Program = Annotated[str | None, typer.Option("--view3d", help="The program of View3D.", metavar="PROGRAM")]
 HOW = "View3D: --view3d was not given; how to build it stands in benchmarks/peer_view3d.py"
 
@@ -30,5 +32,4 @@ def run(program: str, path: Path) -> tuple[float, np.ndarray]:
         subprocess.run([found, str(path.resolve()), out.name], check=True, capture_output=True, cwd=folder)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-        count = int(out.read_text().split("\n", 1)[0].split()[-1])
-        return seconds, np.loadtxt(out, skiprows=2, max_rows=count, ndmin=2)
+        return seconds, read_view3d(out).matrix

@@ -32,7 +32,8 @@ _NODES = np.concatenate([1 / 6 + np.eye(3) / 2, (1 - _NEAR) / 3 + _NEAR * np.eye
 _WEIGHT = 1 / (12 * _NEAR**2)
 #: The quarters of a triangle: their corners, and from 3 on the middles of its edges.
 _PARTS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
-#: Error of the mean of two rules, relative to their largest difference: measured, it is at most a tenth.
+#: Error of the mean of two rules, relative to their largest difference: measured, a tenth in the sums of rows of a city
+#: of 994 facets, at tolerances of 1e-5 and 2e-5, less in an L-shaped room.
 _ERROR = 0.25
 
 
