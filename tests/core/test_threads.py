@@ -19,7 +19,7 @@ def test_the_number_of_threads():
         set_threads(None)
         assert dr.thread_count() == 1
     finally:
-        dr.set_thread_count(before)
+        set_threads(before)
     for bad in (0, -2, 1.5, "four", True):
         with pytest.raises(OptionError, match="number of threads"):
             set_threads(bad)

@@ -80,14 +80,18 @@ def test_objects_of_the_caller_are_not_changed():
 
 
 def test_a_file_is_read_with_one_thread(tmp_path):
-    """Mitsuba waits for ever for threads that read OpenEXR if there is but one; and as many are left as before."""
+    """Mitsuba waits for ever for threads that read OpenEXR, whatever the name of the file, if there is but one; as many
+    are left as before. Other scenes start none."""
     write_exr(tmp_path / "sky.exr", Result({"image": np.ones((64, 128, 3), np.float32)}))
+    (tmp_path / "sky.exr").rename(tmp_path / "sky.hdr")
     code = """
 import sys; from etendue.core import set_threads, use_variant; from etendue.scene import load
 use_variant(); set_threads(1); import drjit as dr
-sky = {"type": "envmap", "filename": sys.argv[1]}
-load({"type": "scene", "sensor": {"type": "perspective"}, "ball": {"type": "sphere"}, "sky": sky})
-print(dr.thread_count())
+set_count = dr.set_thread_count; dr.set_thread_count = lambda count: (print(count), set_count(count))
+for sky in ({"type": "constant"}, {"type": "envmap", "filename": sys.argv[1]}):
+    load({"type": "scene", "sensor": {"type": "perspective"}, "ball": {"type": "sphere"}, "sky": sky})
+    print("loaded", dr.thread_count())
 """
-    command = [sys.executable, "-c", code, str(tmp_path / "sky.exr")]
-    assert subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout == "1\n"
+    command = [sys.executable, "-c", code, str(tmp_path / "sky.hdr")]
+    output = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+    assert output.split("\n")[:-1] == ["loaded 1", "2", "1", "loaded 1"]

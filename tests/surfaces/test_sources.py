@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.patches import BOXES, box, joined
 
+from etendue.core import set_threads
 from etendue.points import Halton, OwenSobol
 from etendue.radiosity import LocalRays, Patches, RayScene
 from etendue.surfaces import RaySource, Sides, around, columns, cosine_lanes, cosine_law, even_lanes, pairs_of
@@ -97,10 +98,10 @@ def test_rays_do_not_depend_on_the_number_of_threads_or_on_pieces(points, scene)
     engine, before, found = LocalRays(scene, points), dr.thread_count(), []
     try:
         for threads, size in ((1, 3000), (2, 500)):
-            dr.set_thread_count(threads)
+            set_threads(threads)
             found.append(np.concatenate(list(engine.stream(3000, 7, size))))
     finally:
-        dr.set_thread_count(before)
+        set_threads(before)
     assert len(found[0]) > 3000
     np.testing.assert_array_equal(*(np.sort(np.ascontiguousarray(pairs).view(np.uint64).ravel()) for pairs in found))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,6 +15,9 @@ from .settings import is_whole
 
 T = TypeVar("T")
 
+#: Seconds without work after which threads of Dr.Jit sleep: new ones do so at once, others after 0.02.
+_ASLEEP = 0.05
+
 
 def set_threads(count: int | None) -> None:
     """Set the number of CPU threads of Dr.Jit; ``None`` does not change it. Raises :class:`OptionError` if it is not 1
@@ -24,7 +28,18 @@ def set_threads(count: int | None) -> None:
         return
     if not is_whole(count) or not 1 <= count <= 1024:
         raise OptionError(f"the number of threads must be a whole number from 1 to 1024, not {count!r}")
-    dr.set_thread_count(int(count))
+    if count != dr.thread_count():
+        _set_count(int(count))
+
+
+def _set_count(count: int) -> None:
+    """Set the number of threads while all sleep: one that falls asleep just when it is told to end may miss it, and the
+    caller waits for ever (Dr.Jit 1.5; one of 10,000 threads that ended as soon as they began)."""
+    import drjit as dr
+
+    if count < dr.thread_count():
+        time.sleep(_ASLEEP)
+    dr.set_thread_count(count)
 
 
 @contextmanager
@@ -40,7 +55,7 @@ def threads_for_files() -> Iterator[None]:
     try:
         yield
     finally:
-        dr.set_thread_count(count)
+        _set_count(count)
 
 
 def threads() -> int:

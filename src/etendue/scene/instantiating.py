@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from etendue.core import threads_for_files
@@ -9,10 +11,13 @@ from etendue.core import threads_for_files
 from .curves import extend_curves
 from .graph import plugin_name
 from .lamps.environments import light_poles
-from .parsing import read_properties
+from .parsing import read_properties, read_property
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+#: The first bytes of a file of OpenEXR.
+_OPENEXR = b"\x76\x2f\x31\x01"
 
 
 def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> mi.Scene:
@@ -21,7 +26,7 @@ def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -
     import mitsuba as mi
 
     given = [value for value in read_properties(state.root.props).values() if isinstance(value, mi.Emitter)]
-    with threads_for_files():
+    with threads_for_files() if _reads_openexr(state) else nullcontext():
         scene = mi.parser.instantiate(config, state)
     for emitter in scene.emitters():
         if emitter in given:
@@ -31,3 +36,17 @@ def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -
             emitter.surround(scene.bbox())
     extend_curves(scene)
     return scene
+
+
+def _reads_openexr(state: mi.parser.ParserState) -> bool:
+    """Whether a file of the scene is one of OpenEXR, whatever its name."""
+    import mitsuba as mi
+
+    names = {read_property(node.props, "filename") for node in state.nodes if "filename" in node.props}
+    paths = [Path(str(mi.file_resolver().resolve(name))) for name in names if isinstance(name, str)]
+    for path in paths:
+        if path.is_file():
+            with path.open("rb") as file:
+                if file.read(len(_OPENEXR)) == _OPENEXR:
+                    return True
+    return False
