@@ -208,6 +208,19 @@ def test_what_is_sampled_has_no_bias():
         assert 0.3 < np.mean(off[is_sampled] ** 2) / np.mean(errors[is_sampled] ** 2) < 1.5
 
 
+def test_a_chequered_screen_between_plates():
+    """Half of the light between two plates is left, as a quarter turn exchanges the squares and the gaps; close to a
+    plate it sees more pieces between 578 squares than there is room for."""
+    low, high = square((0, 0, 0), (1, 0, 0), (0, 1, 0)), square((0, 0, 1), (0, 1, 0), (1, 0, 0))
+    z = []
+    for n, height in [(12, k / 20) for k in range(4, 17)] + [(34, 0.05)]:
+        cells = [(i / n, j / n, height) for i in range(n) for j in range(n) if (i + j) % 2 == 0]
+        patches = Patches(*joined(low, high, *(square(cell, (1 / n, 0, 0), (0, 1 / n, 0)) for cell in cells)))
+        found = exact_form_factors(patches, 1e-2)
+        z.append((found.matrix[0, 1] - opposite(1, 1) / 2) / found.errors[0, 1])
+    assert 3 < np.sum(np.square(z)) < 36  # chi-square of 14 values, 0.001 to either side
+
+
 @pytest.mark.slow
 def test_distant_pairs_by_points():
     """Triangles, against Gauss's rule of 12 x 12 points, within the error for which their distance is asked."""

@@ -54,7 +54,8 @@ def exact_form_factors(
     errors of a hundredth of it at most, 1e-8 if they are near (1e-6 from meshes in single precision); those that a face
     hides from each other are zero. Of those that are hidden in part, the contour of what is seen is integrated in
     closed form from points of the smaller patch: from some of Sobol's sequence, as many as the tolerance needs for the
-    size of the form factor, or from those of triangles that are divided where they differ. ``errors`` has estimates.
+    size of the form factor, or from those of triangles that are divided where they differ. Between many faces, rays
+    that join points of both patches are faster. ``errors`` has estimates.
 
     Faces that are partly behind each other's plane are clipped. Where faces lie on each other, what is covered is not
     seen, and sides in contact see each other: a box and the floor, but not rooms that share a wall, nor the sides of a
@@ -63,8 +64,7 @@ def exact_form_factors(
     left.
 
     Raises :class:`RadiosityError` for sheets with two sides on each other, for faces in one place that have no order,
-    if more pieces of a face are seen between others than there is room for, and for more patches than fit into memory:
-    use lines (:class:`ABuffer`) then.
+    and for more patches than fit into memory: use lines (:class:`ABuffer`) then.
     :class:`etendue.core.BackendError` without Numba.
 
     Surfaces without end along y, such as those of ``.vs2``, are exact but for rounding: their faces are rectangles from
@@ -127,26 +127,19 @@ def exact_seconds(patches: Patches, tolerance: float = EXACT_TOLERANCE) -> float
 
 @dataclass(frozen=True)
 class _Pairs:
-    """All pairs of the sides of patches, in radii of the scene; ``faces``: their numbers."""
+    """All pairs of the sides of patches, in radii of the scene."""
 
     loops: Any
     sides: Any
     occluders: Occluders
-    faces: Index
     touching: Any
     radius: float
     tolerance: float
 
     def integrate(self, rows: Index, exchange: Array, errors: Array) -> None:
-        """Add what sides in a range exchange with later ones. Raises :class:`RadiosityError` for a pair that cannot be
-        computed."""
+        """Add what sides in a range exchange with later ones."""
         limits = int(rows[0]), int(rows[-1]) + 1
-        a, b = self.loops.exchange_rows(self.sides, self.occluders, *limits, self.tolerance, exchange, errors)
-        if a >= 0:
-            raise RadiosityError(
-                f"faces {self.faces[a]} and {self.faces[b]} see each other between too many others: cast lines "
-                "(ABuffer, or method lines)"
-            )
+        self.loops.exchange_rows(self.sides, self.occluders, *limits, self.tolerance, exchange, errors)
 
 
 def _check_tolerance(tolerance: float) -> None:
@@ -175,7 +168,7 @@ def _pairs(patches: Patches, tolerance: float) -> _Pairs:
     distances = rules.least_distances(max(_OF_TOLERANCE * tolerance, _LEAST))
     sides = loops.Sides(shapes, of, patch, _balls(shapes), rules.nodes_of(shapes), distances)
     touching = _touching(patches, contacts)
-    return _Pairs(loops, sides, occluders(corners, planes), patches.numbers[faces], touching, radius, tolerance)
+    return _Pairs(loops, sides, occluders(corners, planes), touching, radius, tolerance)
 
 
 def _uncovered(contacts: Contacts, faces: Index, turned: NDArray[np.bool_]) -> tuple[Array, Index]:
