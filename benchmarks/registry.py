@@ -96,6 +96,7 @@ PROGRAMS = {
                 Benchmark("ground-merging", "grounds.merging", 6, "Bias of merging, on grounds of several sizes."),
                 Benchmark("fireflies", "fireflies.measure", 12, "Error with and without re-weighting.", in_all=False),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
+                Benchmark("irradiance", "irradiance.measure", 3, "Irradiance caching beside path: error and CPU time."),
                 Benchmark("workers", "workers.measure", 7, "Worker processes beside unconnected ones.", in_all=False),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("samplers", "samplers.measure", 3, "path by each sampler: error at equal samples, patterns."),

@@ -196,6 +196,14 @@ def test_the_view_factor_benchmark_measures_lines_and_says_how_to_get_the_others
 
 
 @pytest.mark.slow
+def test_the_benchmark_of_irradiance_caching():
+    record = module("irradiance").measure("cornell-box", (32, 32), [1, 4], 2, 64)
+    rows = {(row[0], row[1]): row for row in record.rows}
+    assert len(rows) == 6 and rows["path", "4"][-1] == "1.00"
+    assert float(rows["irradiance_cache", "4"][2].split()[0]) < float(rows["path", "4"][2].split()[0])
+
+
+@pytest.mark.slow
 def test_the_benchmark_of_denoisers_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
     denoised = module("denoised")
     monkeypatch.setattr(denoised, "CASES", {"cornell-box": denoised.Case("path", (48, 36))})

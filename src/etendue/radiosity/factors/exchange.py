@@ -44,7 +44,7 @@ _ERRORS = np.array(
 #: Ends of the rays of a batch, 32 bits of each coordinate; fewest and most batches; and the root mean square error of
 #: one in form factors without occluders: measured between plates with 484 squares between them.
 _ENDS = (Sobol(4).block(64) * 2**32).astype(np.int64)
-_BATCHES = 16, 1 << 16
+_BATCHES = 16.0, 65536.0
 _OF_BATCH = 0.05
 #: Points to an error in form factors without occluders, times that error; and the time of a batch over that of a point
 #: for each occluder, where one more piece of what a point sees costs so much more.
@@ -132,7 +132,7 @@ def _exchange(
     if polygon_area(p) > polygon_area(q):
         p, of_p, q, of_q = q, of_q, p, of_p
     allowed = _SHARE * tolerance * math.sqrt(whole * polygon_area(p))
-    batches = min(max(int((_OF_BATCH * whole / allowed) ** 2), _BATCHES[0]), _BATCHES[1])
+    batches = max((_OF_BATCH * whole / allowed) ** 2, _BATCHES[0])
     if _TIME * batches > _TO_ERROR * whole / allowed * (1 + _OF_PIECE * count):
         for level in range(len(_NUMBERS)):
             if _ERRORS[level, 0] * whole <= allowed:
@@ -144,7 +144,7 @@ def _exchange(
             value, error, done = hidden_exchange(p, of_p, q, of_q, occluders, count, allowed, room)
             if done:
                 return value, error
-    share, error = _by_rays(p, of_p, q, of_q, occluders, count, i, j, batches, room)
+    share, error = _by_rays(p, of_p, q, of_q, occluders, count, i, j, int(min(batches, _BATCHES[1])), room)
     return share * whole, error * whole
 
 
