@@ -46,8 +46,8 @@ _ERRORS = np.array(
 _ENDS = (Sobol(4).block(64) * 2**32).astype(np.int64)
 _BATCHES = 16.0, 65536.0
 _OF_BATCH = 0.05
-#: Points to an error in form factors without occluders, times that error; and the time of a batch over that of a point
-#: for each occluder, where one more piece of what a point sees costs so much more.
+#: Points that an error needs, times that error in form factors without occluders; and for each occluder, the time of a
+#: batch over that of a point that sees one piece, and what every further piece adds to the latter.
 _TO_ERROR, _TIME, _OF_PIECE = 0.3, 4.0, 0.25
 
 
@@ -132,6 +132,8 @@ def _exchange(
     if polygon_area(p) > polygon_area(q):
         p, of_p, q, of_q = q, of_q, p, of_p
     allowed = _SHARE * tolerance * math.sqrt(whole * polygon_area(p))
+    if allowed <= 0.0:
+        return 0.0, 0.0  # slivers
     batches = max((_OF_BATCH * whole / allowed) ** 2, _BATCHES[0])
     if _TIME * batches > _TO_ERROR * whole / allowed * (1 + _OF_PIECE * count):
         for level in range(len(_NUMBERS)):
@@ -210,7 +212,7 @@ def _by_rays(
             all_ += weight
             if _sees(x, y, occluders, count, room):
                 some += weight
-        share = some / all_
+        share = some / all_ if all_ > 0.0 else 0.0
         seen, squares = seen + share, squares + share * share
     mean = seen / batches
     return mean, math.sqrt(max(squares / batches - mean * mean, 0.0) / (batches - 1))
