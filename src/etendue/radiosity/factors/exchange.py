@@ -196,7 +196,7 @@ def _by_rays(
     room: Room,
 ) -> tuple[float, float]:
     """The share of A F that the first ``count`` chosen occluders leave, and its standard error, from rays between
-    points of both polygons: for what leaves too many pieces.
+    points of both polygons: for pairs between many others.
 
     Batches have points of Sobol's sequence with random digital shifts of their own, so that they tell the error.
     """
