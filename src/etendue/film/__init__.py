@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .exr import (
         BANDS as BANDS,
         channel_names as channel_names,
+        is_exr as is_exr,
         layer_path as layer_path,
         read_exr as read_exr,
         read_image as read_image,

@@ -33,7 +33,7 @@ _DEPTH_LAYERS = frozenset({"depth"})
 _CHANNEL_ORDERS = ("RGB", "RGBA", "XYZ", "Y", "Z", "YA")
 #: Channels that make up a picture also where others are beside them.
 _COLOURS = ("RGBA", "RGB")
-_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_MAGIC = b"\x76\x2f\x31\x01"
 
 
 def write_exr(path: str | os.PathLike[str], result: Result) -> None:
@@ -96,7 +96,7 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
     import OpenEXR
 
     _check_readable(path)
-    if not _is_exr(path):
+    if not is_exr(path):
         raise SceneError(f"'{path}' is not an OpenEXR file")
     try:
         file = OpenEXR.File(str(path), separate_channels=True)
@@ -137,7 +137,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     the file is missing or not a picture.
     """
     _check_readable(path)
-    if _is_exr(path):
+    if is_exr(path):
         read = read_exr(path)
         refuse_bands(read.metadata, f"'{path}'")
         layers = read.layers
@@ -220,9 +220,10 @@ def _check_readable(path: str | os.PathLike[str]) -> None:
         raise SceneError(f"there is no picture '{path}'; check the path")
 
 
-def _is_exr(path: str | os.PathLike[str]) -> bool:
+def is_exr(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is one of OpenEXR, by its first bytes. Raises :class:`SceneError` if it cannot be read."""
     try:
         with open(path, "rb") as file:
-            return file.read(4) == _EXR_MAGIC
+            return file.read(len(_MAGIC)) == _MAGIC
     except OSError as error:
         raise SceneError(f"'{path}' cannot be read: {error.strerror}") from None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from etendue.core import threads_for_files
+from etendue.film import is_exr
 
 from .curves import extend_curves
 from .graph import plugin_name
@@ -15,9 +16,6 @@ from .parsing import read_properties, read_property
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-#: The first bytes of a file of OpenEXR.
-_OPENEXR = b"\x76\x2f\x31\x01"
 
 
 def instantiated(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> mi.Scene:
@@ -44,9 +42,4 @@ def _reads_openexr(state: mi.parser.ParserState) -> bool:
 
     names = {read_property(node.props, "filename") for node in state.nodes if "filename" in node.props}
     paths = [Path(str(mi.file_resolver().resolve(name))) for name in names if isinstance(name, str)]
-    for path in paths:
-        if path.is_file():
-            with path.open("rb") as file:
-                if file.read(len(_OPENEXR)) == _OPENEXR:
-                    return True
-    return False
+    return any(path.is_file() and is_exr(path) for path in paths)
