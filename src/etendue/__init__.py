@@ -4,10 +4,17 @@
 any method without them. The names below, and the packages, are imported when they are first used.
 """
 
+import gc as _gc
 from typing import TYPE_CHECKING, Any as _Any
 
-from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
-from .plugins import register as _register_plugins, register_method as register_method
+_collects = _gc.isenabled()
+_gc.disable()  # imports make many objects and no cycles
+try:
+    from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
+    from .plugins import register as _register_plugins, register_method as register_method
+finally:
+    if _collects:
+        _gc.enable()
 
 if TYPE_CHECKING:
     from . import (

@@ -14,7 +14,7 @@ from support.spectral import spectral_variant
 from etendue.core import OptionError, SceneError, UnsupportedError
 from etendue.scene import Material, load
 from etendue.scene.members import Members
-from etendue.scene.plugins.dispersive import make_dispersive
+from etendue.scene.plugins.dispersive import make_dispersive, make_roughdispersive
 from etendue.scene.plugins.glasses import GLASSES, abbe_number, constant, of_abbe
 
 N = 200_000
@@ -31,7 +31,7 @@ def glass(rough: bool = False, **parameters: Any) -> mi.BSDF:
     props = mi.Properties("roughdispersive" if rough else "dispersive")
     for key, value in parameters.items():
         props[key] = value
-    return make_dispersive(rough)(props)
+    return (make_roughdispersive if rough else make_dispersive)()(props)
 
 
 def interaction(wi: Any, n: int = N, wavelengths: Any = WAVELENGTHS) -> mi.SurfaceInteraction3f:

@@ -9,12 +9,14 @@ import sys
 import time
 from collections.abc import Sequence
 from contextvars import ContextVar
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress as RichProgress, TaskID, TextColumn
 
 from etendue.core import Progress
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
 
 #: In a pipe, a line of progress is printed when the time has grown by this factor, and at least this often.
 _LINE_RATIO, _LINE_EVERY = 1.5, 60.0
@@ -93,12 +95,13 @@ class ProgressView:
         self._console = console
         self._label = label
         self._bar: RichProgress | None = None
-        self._task = TaskID(0)
         self._next_line, self._next_step, self._step = 1.0, 2.0, ""
         self._began = time.monotonic()
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
+            from rich.progress import BarColumn, Progress as RichProgress, TextColumn
+
             self._bar = RichProgress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=None),
@@ -107,7 +110,7 @@ class ProgressView:
                 transient=True,
                 expand=True,
             )
-            self._task = self._bar.add_task(self._label, total=None, status="loading the scene")
+            self._bar.add_task(self._label, total=None, status="loading the scene")
             self._bar.start()
         return self
 
@@ -122,7 +125,7 @@ class ProgressView:
     def update(self, progress: Progress, prepared: bool) -> None:
         """Show ``progress``; called a few times per second."""
         if self._bar is not None:
-            self._bar.update(self._task, **self._fields(progress, prepared))
+            self._bar.update(self._bar.task_ids[0], **self._fields(progress, prepared))
             return
         now = time.monotonic() - self._began
         if not progress.passes and now >= self._next_step:

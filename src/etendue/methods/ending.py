@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import CheckpointError, OptionError, State, UnsupportedError, logger, setting
 from etendue.scene import Problem
-from etendue.surfaces import NearestMap, SurfaceMap, read_map
 from etendue.transport import CameraPath, EndingGuidedWalk, EndingWalker, GuidedWalk, MapEnd, Walker, light_of_map
 
 from .base import CameraSettings, ImageMethod, W, total
+
+if TYPE_CHECKING:
+    from etendue.surfaces import SurfaceMap
 
 #: For each walk, its variant that ends in a map.
 _ENDING: dict[type[Walker], type[Walker]] = {Walker: EndingWalker, GuidedWalk: EndingGuidedWalk}
@@ -64,6 +66,8 @@ class EndsInMap(ImageMethod):
         if (name or self.map is not None) and self.visibility.media is not None:
             raise UnsupportedError("paths cannot end in a map in a scene with participating media; leave out map")
         if name:
+            from etendue.surfaces import read_map
+
             self.map = read_map(name, problem)
             with open(name, "rb") as file:
                 self._digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -75,11 +79,14 @@ class EndsInMap(ImageMethod):
                 "a map does not tell direct light from other light; set map_after=1 or more, or leave out components"
             )
         self._by_directions = self.map is not None and bool(getattr(self.settings, "map_glossy", False))
-        if self._by_directions and not isinstance(self.map, NearestMap):
-            raise OptionError(
-                "map_glossy=true is for maps of the nearest particles, which have directions: make one by etendue "
-                "particles map --map knn"
-            )
+        if self._by_directions:
+            from etendue.surfaces import NearestMap
+
+            if not isinstance(self.map, NearestMap):
+                raise OptionError(
+                    "map_glossy=true is for maps of the nearest particles, which have directions: make one by etendue "
+                    "particles map --map knn"
+                )
         self._after = dr.opaque(mi.UInt32, after)
 
     def start(self) -> State:

@@ -81,7 +81,8 @@ if TYPE_CHECKING:
     )
     from .parsing import Change as Change, is_sensor as is_sensor
     from .parts import load_part as load_part, shape_boxes as shape_boxes, unmerged as unmerged
-    from .plugins import composed_bsdf as composed_bsdf, register as register
+    from .plugins import register as register
+    from .plugins.composed import composed_bsdf as composed_bsdf
     from .portables import PortableScene as PortableScene, portable as portable, restored as restored
     from .problem import Problem as Problem
     from .resizing import resized as resized

@@ -38,8 +38,6 @@ def with_own_meter(problem: Problem) -> Problem:
     """The same problem; Mitsuba's ``radiancemeter`` and ``irradiancemeter`` are replaced by meters, which sample lamps
     as a surface does. Raises :class:`UnsupportedError` for a ``distant`` sensor of a scene that is rendered in other
     coordinates."""
-    from etendue.lighting import Meters
-
     sensor = problem.sensor
     kind = plugin_name(sensor)
     if kind == "distant" and not problem.space.is_own:
@@ -48,6 +46,8 @@ def with_own_meter(problem: Problem) -> Problem:
             "supported; move the scene near the origin and scale it to a size of 1 to 100"
         )
     if kind == "radiancemeter":
+        from etendue.lighting import Meters
+
         to_world = np.asarray(sensor.world_transform().matrix, np.float64).reshape(4, 4)
         return with_meters(problem, Meters(to_world[None, :3, 3], to_world[None, :3, 2], "radiance"))
     if kind == "irradiancemeter":

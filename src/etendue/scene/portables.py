@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -132,6 +131,8 @@ def _names_in_text(text: Path, parameters: Mapping[str, str]) -> Iterator[str]:
 def _rename(folder: Path, texts: list[str], moved: Mapping[str, str]) -> None:
     """Replace absolute names in the XML files by the names of the files in ``folder``, and remove folders to search,
     whose files lie beside the scene."""
+    from html import escape
+
     for place in texts:
         path = folder / place
         text = re.sub(r"<path\s[^>]*/>", "", path.read_text("utf-8"))

@@ -6,10 +6,9 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from etendue.core import CheckpointError, Ingredients, OptionError, SceneError, is_whole, logger
-from etendue.lighting import Meters
 
 from .builtin.table import BundledScene, bundled_scene
 from .camera import Camera
@@ -18,6 +17,9 @@ from .loading import checked_size, load, locate
 from .parts import load_part, part_files, unmerged
 from .portables import PortableScene, portable, restored
 from .problem import Problem
+
+if TYPE_CHECKING:
+    from etendue.lighting import Meters
 
 #: Smallest memory bound in bytes: 16 MB.
 LEAST_MEMORY = 16 << 20
@@ -95,6 +97,8 @@ class SceneSource:
         if "camera" in place:
             known["camera"] = Camera(**{"fov_axis": "y", **place["camera"]})  # version 1 had this axis only
         if "meters" in place:
+            from etendue.lighting import Meters
+
             known["meters"] = Meters(**place["meters"])
         return cls(scene, **known)
 
@@ -158,7 +162,11 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
         change=None if values.get("merge", True) else unmerged,
         lit=values.get("lit", True),
     )
-    return problem if meters is None else _measured(problem, Meters(**meters))
+    if meters is None:
+        return problem
+    from etendue.lighting import Meters
+
+    return _measured(problem, Meters(**meters))
 
 
 def _measured(problem: Problem, meters: Meters) -> Problem:

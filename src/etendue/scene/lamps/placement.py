@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: A lamp lies in a surface if this is their distance, as a share of half the scene's diagonal; and in steps of single
 #: precision at its coordinates.
 _NEAR, _STEPS = 1e-5, 8.0 * 2.0**-24
-_POINTS = 16  #: of an area light
+_POINTS, _GOLDEN = 16, 0.6180339887  #: of an area light, a lattice by the golden ratio
 #: Three axes and four diagonals of a cube: no plane contains more than three of them.
 _DIRECTIONS = np.array([d for d in product((1.0, 0.0, -1.0), repeat=3) if d > (0, 0, 0) and d.count(0.0) != 1])
 
@@ -75,7 +75,8 @@ def _points(lamp: mi.Emitter) -> Array | None:
     shape = lamp.get_shape() if mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface) else None
     if shape is None:
         return None
-    u, v = np.random.default_rng(0).random((2, _POINTS))
+    k = np.arange(_POINTS) + 0.5
+    u, v = k / _POINTS, k * _GOLDEN % 1.0
     kind, values = plugin_name(shape), dict(contents(shape).values)
     if kind in ("disk", "rectangle"):
         place = as_array(values["to_world"]).astype(np.float64).reshape(4, 4)

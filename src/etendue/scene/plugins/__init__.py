@@ -3,42 +3,26 @@
 functions.
 
 Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
-its base class depends on the variant.
+its base class depends on the variant; until then its module is not imported.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from etendue.core import check_variant
 
-from .composed import composed_bsdf as composed_bsdf
-from .dispersive import make_dispersive
-from .focusarea import make_focusarea
-from .luminaire import make_luminaire
-from .meters import make_meters
-from .mipmap import make_mipmap
-from .phong import PhongLobe
-from .reflection import make_reflection
-from .sky import make_sky
-from .spherical import make_spherical
-from .ward import WardLobe
-
 if TYPE_CHECKING:
     import mitsuba as mi
 
-
-_BSDFS = {
-    "phong": lambda: make_reflection(PhongLobe),
-    "ward": lambda: make_reflection(WardLobe),
-    "dispersive": lambda: make_dispersive(is_rough=False),
-    "roughdispersive": lambda: make_dispersive(is_rough=True),
-}
-_EMITTERS = {"focusarea": make_focusarea, "luminaire": make_luminaire, "sky": make_sky}
-_SENSORS = {"spherical": make_spherical, "meters": make_meters}
-_TEXTURES = {"mipmap": make_mipmap}
+#: The module of each plugin, in which ``make_<name>`` makes its class.
+_BSDFS = {"phong": "reflection", "ward": "reflection", "dispersive": "dispersive", "roughdispersive": "dispersive"}
+_EMITTERS = {"focusarea": "focusarea", "luminaire": "luminaire", "sky": "sky"}
+_SENSORS = {"spherical": "spherical", "meters": "meters"}
+_TEXTURES = {"mipmap": "mipmap"}
 
 
 def register() -> None:
@@ -55,8 +39,8 @@ def register() -> None:
         (mi.register_texture, _TEXTURES),
     )
     for announce, table in tables:
-        for name, make in table.items():
-            announce(name, _constructor(make))
+        for name, module in table.items():
+            announce(name, _constructor(module, name))
 
 
 def object_type(name: str) -> mi.ObjectType | None:
@@ -73,16 +57,17 @@ def object_type(name: str) -> mi.ObjectType | None:
     return next((kind for table, kind in types if name in table), None)
 
 
-def _constructor(make: Callable[[], type]) -> Callable[[mi.Properties], mi.Object]:
+def _constructor(module: str, name: str) -> Callable[[mi.Properties], mi.Object]:
     def construct(props: mi.Properties) -> mi.Object:
         import mitsuba as mi
 
         check_variant(mi.variant())
-        return _class(make, mi.variant())(props)
+        return _class(module, name, mi.variant())(props)
 
     return construct
 
 
 @lru_cache(maxsize=64)
-def _class(make: Callable[[], type], variant: str) -> type:
-    return make()
+def _class(module: str, name: str, variant: str) -> type:
+    made: type = getattr(import_module(f".{module}", __name__), f"make_{name}")()
+    return made

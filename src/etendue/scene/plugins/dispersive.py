@@ -28,9 +28,17 @@ from .glasses import Index, constant, glass, of_abbe
 from .parameters import block, check_range, number
 
 
-def make_dispersive(is_rough: bool) -> type:
-    """The BSDF class for the current variant."""
-    name = "roughdispersive" if is_rough else "dispersive"
+def make_dispersive() -> type:
+    """The BSDF class ``dispersive`` for the current variant."""
+    return _dispersive("dispersive", is_rough=False)
+
+
+def make_roughdispersive() -> type:
+    """The BSDF class ``roughdispersive`` for the current variant."""
+    return _dispersive("roughdispersive", is_rough=True)
+
+
+def _dispersive(name: str, is_rough: bool) -> type:
     if not is_spectral():
         raise UnsupportedError(
             f"material '{name}' needs wavelengths: render under a spectral variant (--variant llvm_ad_spectral)"

@@ -11,8 +11,17 @@ from .phong import PhongLobe
 from .ward import WardLobe
 
 
-def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
-    """The BSDF class of a lobe (``PhongLobe``, ``WardLobe``) for the current variant."""
+def make_phong() -> type:
+    """The BSDF class ``phong`` for the current variant."""
+    return _with_lobe(PhongLobe)
+
+
+def make_ward() -> type:
+    """The BSDF class ``ward`` for the current variant."""
+    return _with_lobe(WardLobe)
+
+
+def _with_lobe(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
 
     class DiffuseAndLobe(mi.BSDF):
         """f = k_d / pi + k_s lobe; a component is selected by its share of the reflectance and sampled."""

@@ -14,13 +14,13 @@ light point is sampled at the end, since the map contains the direct light [Lees
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.scene import LightTable
-from etendue.surfaces import NearestMap, SurfaceMap
 
 from ..direct import DirectWeights
 from ..emission import DirectSample
@@ -31,6 +31,9 @@ from ..vertex import WalkVertex
 from ..visibility import Visibility
 from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
 
+if TYPE_CHECKING:
+    from etendue.surfaces import NearestMap, SurfaceMap
+
 
 def light_of_map(surface_map: SurfaceMap, end: MapEnd, visibility: Visibility) -> tuple[mi.Spectrum, mi.Bool]:
     """(contribution of the map to paths whose loop has been evaluated, lanes that end where the map has no surface)."""
@@ -38,10 +41,10 @@ def light_of_map(surface_map: SurfaceMap, end: MapEnd, visibility: Visibility) -
     found = surface_map.irradiance(end.position, end.normal, end.reached & ~reflects)
     light, known = found.value * dr.inv_pi, found.known
     if end.ray is not None:
-        assert isinstance(surface_map, NearestMap)
         here = end.reached & reflects
         si = visibility.scene.ray_intersect(end.ray, active=here)
-        reflected, there = surface_map.reflected(si, end.normal, visibility.material(si, end.ray), here)
+        nearest = cast("NearestMap", surface_map)  # the only kind of map with directions
+        reflected, there = nearest.reflected(si, end.normal, visibility.material(si, end.ray), here)
         light, known = dr.select(reflects, reflected, light), dr.select(reflects, there, known)
     return dr.select(end.reached & known, end.throughput * light, 0.0), end.reached & ~known
 
