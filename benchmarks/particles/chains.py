@@ -16,7 +16,7 @@ from etendue.particles import Particles, coder, of_strips, records, strips
 from etendue.scene import load
 
 from ..measuring import Record
-from ..options import Names
+from ..options import Names, Seeds
 from .thesis import BUFFER, CHANNELS, CODERS
 from .tracing import Count, traced
 
@@ -28,8 +28,8 @@ _KIND, _CODER = "diffuse uv", "zlib"
 _SIDE = 50
 
 
-def measure(scenes: Names = "cornell-box,sitting-room", count: Count = 1_000_000) -> Iterator[Record]:
-    """A table of each scene."""
+def measure(scenes: Names = "cornell-box,sitting-room", count: Count = 1_000_000, seeds: Seeds = 3) -> Iterator[Record]:
+    """A table of each scene, means over the seeds."""
     for name in scenes:
         record = Record(
             f"Compression of particles of chains, {name}, {count} particles or steps",
@@ -42,16 +42,25 @@ def measure(scenes: Names = "cornell-box,sitting-room", count: Count = 1_000_000
                 "faster below",
             ),
         )
-        begin = time.process_time()
-        known = traced(name, count, 1)
-        spent = time.process_time() - begin
-        those = Particles.of_rows(np.concatenate(known.passes))
-        _row(record, "independent", records(those, _KIND, 1, those.path % CHANNELS), spent)
-        for size in SIZES:
-            _row(record, f"chains, steps of {size:g}", *_chains(name, count, size))
+        rows: dict[str, list[list[float]]] = {}
+        for seed in range(1, seeds + 1):
+            begin = time.process_time()
+            known = traced(name, count, seed)
+            spent = time.process_time() - begin
+            those = Particles.of_rows(np.concatenate(known.passes))
+            found = {"independent": (records(those, _KIND, 1, those.path % CHANNELS), spent)}
+            found |= {f"chains, steps of {size:g}": _chains(name, count, size, seed) for size in SIZES}
+            for label, (made, tracing) in found.items():
+                rows.setdefault(label, []).append(_numbers(made, tracing))
+        for label, each in rows.items():
+            stored, *packed, packing, loading, limit = np.mean(each, axis=0)
+            cells = [f"{stored:.0f}", *(f"{share:.3f}" for share in packed), f"{packing:.3f}", f"{loading:.2f}"]
+            record.add(label, *cells, f"{limit:.0f} MB/s")
+        scatter = max(np.ptp(np.array(each)[:, 1 : 1 + 2 * len(CODERS)], axis=0).max() for each in rows.values())
         record.notes += [
             f"{_KIND} records of 11 bytes in buffers of 2 MB: bytes packed over unpacked; of {_CHAINS} chains, one "
             "after the other, with the number of steps that a chain stays",
+            f"means of {seeds} seeds, between which these ratios differ by at most {scatter:.3f}",
             f"by strips and {_CODER}, CPU time: packing over tracing, preparation and compilation included; loading, "
             f"unpacking and a histogram of {_SIDE} x {_SIDE} cells a shape over the same of plain records in memory; "
             "the packed file is loaded faster from a disk below the last speed",
@@ -59,13 +68,13 @@ def measure(scenes: Names = "cornell-box,sitting-room", count: Count = 1_000_000
         yield record
 
 
-def _chains(name: str, count: int, size: float) -> tuple[NDArray[Any], float]:
+def _chains(name: str, count: int, size: float, seed: int) -> tuple[NDArray[Any], float]:
     """(records of all chains, CPU seconds of tracing)."""
     begin = time.process_time()
     settings = {"chains": _CHAINS, "steps": min(_STEPS, max(8, count // _CHAINS)), "step_size": size, "anew": 0.0}
     method = MetropolisParticles(MetropolisParticles.Settings.from_mapping(settings))
-    method.prepare(load(name), 1)
-    replica = Replica(method, 1)
+    method.prepare(load(name), seed)
+    replica = Replica(method, seed)
     total = replica.step(0)
     for number in range(1, max(1, count // method.samples_per_iteration)):
         total = total + replica.step(number)
@@ -79,12 +88,13 @@ def _chains(name: str, count: int, size: float) -> tuple[NDArray[Any], float]:
     return records(those, _KIND, np.minimum(repeats, 255), channels), spent
 
 
-def _row(record: Record, label: str, made: NDArray[Any], tracing: float) -> None:
+def _numbers(made: NDArray[Any], tracing: float) -> list[float]:
+    """Those of a row of the table."""
     rows = [made.tobytes()[at : at + BUFFER] for at in range(0, made.nbytes, BUFFER)]
-    cells, columns = [], list(strips(made, BUFFER))
+    cells, columns = [float(len(made))], list(strips(made, BUFFER))
     for name in CODERS:
         for buffers in (rows, columns):
-            cells.append(f"{sum(len(coder(name).encode(data)) for data in buffers) / made.nbytes:.3f}")
+            cells.append(sum(len(coder(name).encode(data)) for data in buffers) / made.nbytes)
     coding = coder(_CODER)
     begin = time.process_time()
     packed = [(coding.encode(data), len(data)) for data in strips(made, BUFFER)]
@@ -97,7 +107,7 @@ def _row(record: Record, label: str, made: NDArray[Any], tracing: float) -> None
     plain = time.process_time() - begin
     saved = made.nbytes - sum(len(data) for data, _ in packed)
     limit = 1e-6 * saved / max(loading - plain, 1e-9)
-    record.add(label, str(len(made)), *cells, f"{packing / tracing:.3f}", f"{loading / plain:.2f}", f"{limit:.0f} MB/s")
+    return [*cells, packing / tracing, loading / plain, limit]
 
 
 def _histogram(made: NDArray[Any]) -> NDArray[Any]:

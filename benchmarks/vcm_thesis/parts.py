@@ -12,7 +12,7 @@ from etendue import film
 from etendue.core import Array, Measurement, Replica
 from etendue.display import tonemap, write_png
 
-from ..measuring import Record
+from ..measuring import Record, spread
 from ..options import Out, ReferenceSeconds, Seeds, Size
 from ..racing import TRIM, Entrant
 from .entrants import RADIUS, merging, open_scene
@@ -26,40 +26,51 @@ _FACTORS = (0.5, 1.0, 2.0)
 _TILE = 16
 
 
-def measure(scenes: Scenes = SPECULAR, size: Size = SIZE, passes: Passes = 240, out: Out = OUT) -> Record:
-    """A row for each scene; and pictures."""
+def measure(
+    scenes: Scenes = SPECULAR, size: Size = SIZE, passes: Passes = 240, seeds: Seeds = 3, out: Out = OUT
+) -> Record:
+    """Two rows for each scene; and pictures of the first seed."""
     record = Record(
         f"Parts of VCM, {size[0]}x{size[1]}",
         ("", "passes", "merging", "splats", "in the 1 % of the pixels that merging lights most"),
     )
     for name in scenes:
-        problem = open_scene(name, size)
-        settings = merging("vcm", merge_first=False, samples_per_pass=1, split_layers=True)
-        replica = Replica(Entrant("vcm", "vcm", settings).prepared(problem, 0), 0)
-        total: Measurement | None = None
-        for number in range(passes):
-            total = _and(total, replica.step(number))
-            if number + 1 in (max(1, round(passes * _EARLY)), passes):
-                layers = {layer: total.mean(layer).astype(np.float32) for layer in total.sums}
-                record.add(name, f"{number + 1}", *_shares(layers))
-                for layer, picture in layers.items():
+        shares: dict[int, list[list[float]]] = {}
+        for seed in range(seeds):
+            for made, layers in _parts(name, size, passes, seed):
+                shares.setdefault(made, []).append(_shares(layers))
+                for layer, picture in layers.items() if seed == 0 else ():
                     out.mkdir(parents=True, exist_ok=True)
-                    write_png(out / f"parts-{name}-{number + 1}-{layer}.png", tonemap(picture, 0.0))
+                    write_png(out / f"parts-{name}-{made}-{layer}.png", tonemap(picture, 0.0))
+        for made, found in shares.items():
+            record.add(name, f"{made}", *(spread(values, ".3f") for values in zip(*found, strict=True)))
     record.notes += [
-        f"share of the luminance of the picture; settings of the thesis, first radius {1000 * RADIUS:g} mm, no merging "
-        "at the first camera vertex; splats: light paths connected to the camera",
+        f"share of the luminance of the picture, median (min … max) of {seeds} seeds",
+        f"settings of the thesis, first radius {1000 * RADIUS:g} mm, no merging at the first camera vertex; splats: "
+        "light paths connected to the camera",
         "thesis: merging finds reflected caustics, and less as the radius shrinks; caustics that are seen directly "
         "come from light tracing",
     ]
     return record
 
 
-def _shares(layers: Mapping[str, Any]) -> list[str]:
+def _parts(name: str, size: tuple[int, int], passes: int, seed: int) -> Iterator[tuple[int, dict[str, Any]]]:
+    """(passes, layers) early and late."""
+    settings = merging("vcm", merge_first=False, samples_per_pass=1, split_layers=True)
+    replica = Replica(Entrant("vcm", "vcm", settings).prepared(open_scene(name, size), seed), seed)
+    total: Measurement | None = None
+    for number in range(passes):
+        total = _and(total, replica.step(number))
+        if number + 1 in (max(1, round(passes * _EARLY)), passes):
+            yield number + 1, {layer: total.mean(layer).astype(np.float32) for layer in total.sums}
+
+
+def _shares(layers: Mapping[str, Any]) -> list[float]:
     light = {layer: picture @ np.asarray(film.LUMINANCE) for layer, picture in layers.items()}
     most = light["merge"] >= np.quantile(light["merge"], 0.99)
     whole = light["image"].mean()
     found = [light[layer].mean() / whole for layer in ("merge", "splat")]
-    return [f"{share:.3f}" for share in (*found, light["merge"][most].mean() / light["image"][most].mean())]
+    return [*found, light["merge"][most].mean() / light["image"][most].mean()]
 
 
 def combined(
