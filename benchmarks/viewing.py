@@ -6,7 +6,8 @@ import asyncio
 import json
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
 from typing import Annotated, Any
 
 import typer
@@ -18,12 +19,15 @@ from etendue.viewer.camera import Pose
 from etendue.viewer.preview import Moving
 from etendue.viewer.protocol import unpacked
 
-from .measuring import PUBLIC_SCENES, Record, interleaved
+from .measuring import PUBLIC_SCENES, Record, interleaved, spread, verdict
 from .options import Names, Rounds, Size
 
-#: Pictures a second that must reach a page, and seconds until the first one after a warm start.
-BARS = {"cornell-box": 10.0, "caustics": 10.0, "grey-white-room": 4.0}
-FIRST = 1.0
+#: Pictures a second that must reach a page; seconds until the first one after a warm start; and ms from an input, while
+#: passes are made, to the picture.
+BARS = {"cornell-box": 30.0, "caustics": 10.0, "grey-white-room": 4.0}
+FIRST, REACTION = 1.0, 100.0
+#: Inputs whose reactions are measured, and seconds between them.
+_INPUTS, _BETWEEN = 9, 1.2
 #: Most times of moving before that which counts.
 _WARM_UPS = 8
 #: Size of the moving picture by which a frozen function is compared.
@@ -40,7 +44,7 @@ def measure(
     width, height = size
     record = Record(
         f"Viewer, {width}x{height}: pictures while the camera moves",
-        ("scene", "first, s", "pictures/s", "of size", "CPU ms each", "bar"),
+        ("scene", "first, s", "pictures/s", "of size", "CPU ms each", "bar", "input to picture, ms"),
     )
     for name in scenes:
         with view(_source(name), size=size) as viewer:
@@ -48,16 +52,22 @@ def measure(
                 if len(asyncio.run(_moved(viewer, seconds))[1]) > 1:
                     break
             first, frames, cpu = asyncio.run(_moved(viewer, seconds))
+            waits = [1e3 * wait for wait in asyncio.run(_reactions(viewer))]
+        reaction = f"{spread(waits, '.0f')}, {verdict(statistics.median(waits), REACTION)}"
         if not frames:
-            record.add(name, f"{first:.2f}", "0", "", "", f"≥ {BARS[name]:g}: missed" if name in BARS else "")
+            record.add(name, f"{first:.2f}", "0", "", "", f"≥ {BARS[name]:g}: missed" if name in BARS else "", reaction)
             continue
         pace = len(frames) / seconds
         small = statistics.mode(f"{f['width']}x{f['height']}" for f in frames)
         bar = f"≥ {BARS[name]:g}: {'reached' if pace >= BARS[name] else 'missed'}" if name in BARS else ""
-        record.add(name, f"{first:.2f}", f"{pace:.1f}", small, f"{1e3 * cpu / len(frames):.0f}", bar)
+        record.add(name, f"{first:.2f}", f"{pace:.1f}", small, f"{1e3 * cpu / len(frames):.0f}", bar, reaction)
     record.notes.append(
         f"frames that reach a client over a WebSocket in {seconds:g} s of moving; first: from connecting to a session "
         f"whose scene is loaded and kernels compiled (bar {FIRST:g} s); a busy machine lowers both"
+    )
+    record.notes.append(
+        f"input to picture: {_INPUTS} movements of the camera while passes of the default method are made, each to the "
+        "arrival of the first picture from there"
     )
     yield record
     yield _frozen(list(scenes), rounds)
@@ -87,48 +97,82 @@ def _picture(moving: Moving, pose: Pose) -> Any:
     return lambda number: moving.picture(pose.orbited(0.002 * number, 0.0))
 
 
-async def _moved(viewer: Viewer, seconds: float) -> tuple[float, list[dict[str, Any]], float]:
-    """(seconds to the first picture, frames while moving, CPU time)."""
-    from tornado.websocket import websocket_connect
+class _Page:
+    """A client that draws every picture at once."""
 
-    address = viewer.url.replace("http:", "ws:", 1) + "socket"
-    await asyncio.to_thread(viewer.loaded)
-    begin = time.perf_counter()
-    socket = await websocket_connect(address, max_message_size=1 << 26)
+    def __init__(self, socket: Any) -> None:
+        self._socket = socket
 
-    async def frame() -> dict[str, Any]:
+    async def frame(self) -> dict[str, Any]:
+        """The fields of the next picture."""
         while True:
-            message = await socket.read_message()
+            message = await self._socket.read_message()
             assert message is not None
             fields, _ = unpacked(message)
             if fields["type"] == "frame":
-                socket.write_message(json.dumps({"type": "drawn", "frame": fields["frame"]}))
+                self._socket.write_message(json.dumps({"type": "drawn", "frame": fields["frame"]}))
                 return fields
 
-    await frame()
-    first = time.perf_counter() - begin
-    ending = time.perf_counter() + seconds
-    cpu = time.process_time()
+    def turn(self, angle: float) -> None:
+        """Turn the camera."""
+        self._socket.write_message(json.dumps({"type": "camera", "orbit": [angle, 0.0]}))
 
-    async def swing() -> None:
-        number = 0
-        while time.perf_counter() < ending:
-            socket.write_message(json.dumps({"type": "camera", "orbit": [0.004 if number % 64 < 32 else -0.004, 0.0]}))
-            number += 1
-            await asyncio.sleep(1 / 60)
 
-    moving, frames = asyncio.ensure_future(swing()), []
-    while (left := ending - time.perf_counter()) > 0:
-        try:
-            found = await asyncio.wait_for(frame(), left)
-        except TimeoutError:
-            break
-        if found["moving"]:
-            frames.append(found)
-    cpu = time.process_time() - cpu
-    await moving
+@asynccontextmanager
+async def _page(viewer: Viewer) -> AsyncIterator[_Page]:
+    from tornado.websocket import websocket_connect
+
+    await asyncio.to_thread(viewer.loaded)
+    socket = await websocket_connect(viewer.url.replace("http:", "ws:", 1) + "socket", max_message_size=1 << 26)
+    yield _Page(socket)
     socket.close()
+
+
+async def _moved(viewer: Viewer, seconds: float) -> tuple[float, list[dict[str, Any]], float]:
+    """(seconds to the first picture, frames while moving, CPU time)."""
+    await asyncio.to_thread(viewer.loaded)
+    begin = time.perf_counter()
+    async with _page(viewer) as page:
+        await page.frame()
+        first = time.perf_counter() - begin
+        ending = time.perf_counter() + seconds
+        cpu = time.process_time()
+
+        async def swing() -> None:
+            number = 0
+            while time.perf_counter() < ending:
+                page.turn(0.004 if number % 64 < 32 else -0.004)
+                number += 1
+                await asyncio.sleep(1 / 60)
+
+        moving, frames = asyncio.ensure_future(swing()), []
+        while (left := ending - time.perf_counter()) > 0:
+            try:
+                found = await asyncio.wait_for(page.frame(), left)
+            except TimeoutError:
+                break
+            if found["moving"]:
+                frames.append(found)
+        cpu = time.process_time() - cpu
+        await moving
     return first, frames, cpu
+
+
+async def _reactions(viewer: Viewer) -> list[float]:
+    """Seconds from a movement of the camera to the picture, each after passes have begun."""
+    waits = []
+    async with _page(viewer) as page:
+        await page.frame()
+        for _ in range(_INPUTS):
+            rest = time.perf_counter() + _BETWEEN
+            while time.perf_counter() < rest or (await page.frame())["moving"]:
+                await page.frame()
+            begin = time.perf_counter()
+            page.turn(0.004)
+            while not (await page.frame())["moving"]:
+                pass
+            waits.append(time.perf_counter() - begin)
+    return waits
 
 
 def _source(name: str) -> str:

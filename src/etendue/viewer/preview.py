@@ -22,7 +22,7 @@ from etendue.scene import Problem, is_spectral, resized
 from .camera import Pose, place
 
 #: Seconds that a moving picture should take, and pixels of the first one and the smallest.
-_TARGET, _FIRST_PIXELS, _LEAST_PIXELS = 0.06, 60_000, 6_000
+_TARGET, _FIRST_PIXELS, _LEAST_PIXELS = 0.028, 60_000, 6_000
 #: After one picture that takes so many times the target the resolution is lowered.
 _FAR = 3.0
 #: Ratios of the side of the picture to that of the moving picture.
