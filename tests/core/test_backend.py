@@ -181,6 +181,33 @@ def test_a_variant_set_by_the_user_is_kept_or_refused():
     assert "BackendError: variant 'scalar_rgb' is not supported" in run.stderr.strip().splitlines()[-1]
 
 
+def test_differentiable_integrators_of_mitsuba_work_under_a_variant_set_here():
+    """Their functions are transformed when they are first called. The light of a sphere under a constant sky of
+    radiance 1 is its reflectance, and so is the gradient; 65,536 samples, whose standard deviation is less than .1."""
+    code = """
+import etendue.core
+etendue.core.use_variant("llvm_ad_rgb")
+import drjit as dr, mitsuba as mi
+assert dr.syntax.__module__ == "drjit.ast"
+scene = mi.load_dict({
+    "type": "scene", "integrator": {"type": "prb", "max_depth": 2}, "light": {"type": "constant"},
+    "ball": {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": 0.25}},
+    "sensor": {"type": "perspective", "fov": 5,
+               "to_world": mi.ScalarTransform4f().look_at([0, 0, 9], [0, 0, 0], [0, 1, 0]),
+               "film": {"type": "hdrfilm", "width": 4, "height": 4}}})
+parameters = mi.traverse(scene)
+key = "light.radiance.value"
+dr.enable_grad(parameters[key])
+picture = mi.render(scene, parameters, spp=4096)
+mean = dr.mean(picture.array)
+dr.backward(mean)
+print(float(mean[0]), float(dr.sum(dr.grad(parameters[key]))[0]))
+"""
+    done = python(code)
+    assert done.returncode == 0, done.stderr
+    assert np.allclose([float(word) for word in done.stdout.split()], 0.25, atol=4 * 0.1 / 256)
+
+
 def test_cuda_is_the_default_where_it_is_usable(monkeypatch):
     monkeypatch.setattr(backend, "cuda_problem", lambda: None)
     assert choose_variant() == "cuda_ad_rgb"
