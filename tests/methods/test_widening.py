@@ -5,6 +5,7 @@ import pytest
 from support.running import prepared
 
 from etendue import scene
+from etendue.methods.auto import widening
 from etendue.methods.auto.widening import Trial
 
 HEIGHT, WIDTH = 96, 128
@@ -54,13 +55,14 @@ def test_photons_take_time(seed):
 
 
 def test_no_trial_where_discs_are_full():
-    full = Trial.none().begun(30.0)
+    full = Trial.none().begun(0.3)
     assert not full.runs and not full.begins and full.factor == 1.0
 
 
 @pytest.mark.slow
-def test_a_run_resumes_within_the_trial():
+def test_a_run_resumes_within_the_trial(monkeypatch):
     """Equal to a run that was not interrupted, but for the order of atomic additions."""
+    monkeypatch.setattr(widening, "_PHOTONS", 100.0)  # a trial in any scene
     problem = scene.load("caustics", size=(32, 24))
     whole = prepared(problem, "auto", seed=3)
     expected = [whole.step(iteration, 3).mean() for iteration in range(9)]

@@ -18,10 +18,11 @@ from etendue.transport import TILE
 
 from .efficiency import tiled
 
-#: Passes of either radius, the largest factor, and the most photons in a disc.
-_PASSES, _MOST, _PHOTONS = 6, 4.0, 24.0
-#: A factor below is not worth a trial.
-_LEAST = 1.2
+#: Passes of either radius, and the larger one over the other.
+_PASSES, _MOST = 6, 4.0
+#: Photons in a disc, in the mean, above which there is no trial: merges are no longer rare, and passes with larger
+#: discs cost more and blur more than the choice gains.
+_PHOTONS = 0.25
 #: Passes after which the error shall be small.
 _HORIZON = 64
 #: Share of the pixels whose variance, and of the tiles whose bias, is limited to that of the others.
@@ -45,9 +46,8 @@ class Trial:
         return cls(0.0, 1.0, np.zeros((0, 0, 0), np.float32), np.zeros((0, 0, 0), np.float32))
 
     def begun(self, photons: float) -> Trial:
-        """The trial with the largest factor, for discs that hold ``photons`` without."""
-        most = float(np.clip(np.sqrt(_PHOTONS / max(photons, 1e-9)), 1.0, _MOST))
-        return Trial(most if most >= _LEAST else 1.0, 1.0, self.tiles, self.pixels)
+        """The trial, or none, for discs that hold ``photons``."""
+        return Trial(_MOST if photons <= _PHOTONS else 1.0, 1.0, self.tiles, self.pixels)
 
     @property
     def begins(self) -> bool:
