@@ -76,6 +76,7 @@ PROGRAMS = {
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),
                 Benchmark("tuning", "tuning.measure", 300, "Error of auto beside other methods.", in_all=False),
                 Benchmark("tuning-choice", "tuning.choices", 10, "What auto chooses, beside others.", in_all=False),
+                Benchmark("auto-costs", "auto_costs.measure", 8, "The cost model of auto, fitted.", in_all=False),
                 Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
                 Benchmark("filters", "filters.measure", 3, "Cost of a pass by filter, and edges after few samples."),
                 Benchmark("layers", "layers.measure", 3, "Cost of layers of first hits and of components."),

@@ -21,14 +21,15 @@ from numpy.typing import NDArray
 from etendue.core import RELATIVE_EPSILON, State
 from etendue.transport import TILE, Candidate
 
-#: Costs in units of an edge of a path tracer with its light point. Fitted to CPU times of passes of twelve scenes (108
-#: settings), which they predict to 16 %, and relative to the mean of the scene's settings to 8 %.
-CAMERA_EDGE = 1.0  #: an edge of a camera path, with the weights
-CONNECTING = 0.36  #: a vertex that is connected to light vertices, by classes
-CONNECTION = 0.53  #: each of its connections
-LIGHT_VERTEX = 1.73  #: a vertex of a light path, with its splat
-QUERY = 0.35  #: looking for photons at a vertex
-PHOTON = 0.06  #: merging a photon
+#: Costs in units of an edge of a path tracer with its light point, fitted to CPU times of passes
+#: (``python -m benchmarks auto-costs``).
+CAMERA_EDGE = 1.11  #: an edge of a camera path, with the weights
+CONNECTING = 0.26  #: a vertex that is connected to light vertices, by classes
+CONNECTION = 0.54  #: each of its connections
+LIGHT_PATH = 1.46  #: the emission of a light path
+LIGHT_VERTEX = 0.44  #: a vertex of a light path, with its splat
+QUERY = 0.24  #: looking for photons at a vertex
+PHOTON = 0.18  #: merging a photon
 #: Cost of a pass that estimates moments, over that of the same pass without.
 LEARNING = 1.7
 #: Share of the tiles whose noise, as far as all candidates have it, is limited to that of the others.
@@ -48,7 +49,7 @@ class PassWork:
         """Cost of a camera path."""
         if counts.light_paths == 0.0:
             return self.edges
-        cost = CAMERA_EDGE * self.edges + LIGHT_VERTEX * counts.light_paths * self.vertices
+        cost = CAMERA_EDGE * self.edges + (LIGHT_PATH + LIGHT_VERTEX * self.vertices) * counts.light_paths
         if counts.connections:
             cost += (CONNECTING + CONNECTION * counts.connections) * self.smooth
         if counts.merging:
