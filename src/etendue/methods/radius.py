@@ -20,15 +20,15 @@ from .base import ImageMethod
 #: The radius in widths of a pixel if the setting is 0, in a picture of so many pixels, and the exponent by which it
 #: grows with their number. The best radius of a density estimate of N points in the plane falls with N^(1/6)
 #: [Silverman 1986, sec. 4.3]. Light paths are as many as pixels, so that in widths of a pixel it grows with the cube
-#: root of their number; a somewhat smaller exponent bounds the time, which grows with the photons in the disc.
-_PIXELS, _PICTURE, _GROWTH = 1.5, 256 * 256, 1.0 / 4.0
+#: root of their number.
+_PIXELS, _PICTURE, _GROWTH = 2.0, 256 * 256, 1.0 / 3.0
 #: Names of the units; see :func:`first_radius`.
 UNITS = ("scene", "pixel", "absolute")
 UNIT_DOC = (
     "unit of a given radius: half the diagonal of the scene's bounding box (scene), the width of a pixel at the "
     "distance of the surface from the camera (pixel), or scene units (absolute)"
 )
-RADIUS_DOC = "0: by the width of a pixel at the distance of the surface from the camera (1.5 of them in 256x256 pixels)"
+RADIUS_DOC = "0: by the width of a pixel at the distance of the surface from the camera (2 of them in 256x256 pixels)"
 BALL_DOC = "0: so that a ball in which camera paths collide holds a few light vertices"
 #: The radius in media over that on surfaces, if the setting is 0: before a pilot, and its limits.
 _BALL, _BALLS = 2.0, (0.5, 12.0)
