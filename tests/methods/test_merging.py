@@ -174,7 +174,7 @@ def test_the_radius_follows_what_pixels_see(name):
     """Not the size of the scene, nor anything far away, in view or not."""
     near = [0.0, 0.0, 0.0]
     pixel = 2.0 * np.tan(np.deg2rad(15.0)) / 32 * np.hypot(4.0, 1.5)
-    expected = 1.5 * (32 * 32 / 256**2) ** (1 / 4) * pixel
+    expected = 2.0 * (32 * 32 / 256**2) ** (1 / 3) * pixel
     speck = {"type": "sphere", "center": [0, 900, 900], "radius": 1.0}
     for problem in (still_life(2.0), still_life(20.0), still_life(200.0), still_life(2.0, speck=speck)):
         assert radius_at(prepared(problem, name), *near) == pytest.approx(expected, rel=0.15)
@@ -205,7 +205,7 @@ def test_the_radius_of_parallel_and_of_spherical_rays():
     assert noted["scene_units"] == pytest.approx(radius_at(method, 0, 0, 0), rel=1e-3)
     around = prepared(still_life(200.0, sensor=scenes.camera(sensor="spherical", **size)), "vcm")
     pixel = np.sqrt(2.0 * np.pi**2 / (32 * 16))  # wide at the equator and at distance 1
-    expected = 1.5 * (32 * 16 / 256**2) ** (1 / 4) * pixel
+    expected = 2.0 * (32 * 16 / 256**2) ** (1 / 3) * pixel
     assert 0.5 * expected < radius_at(around, 0, 0, 0) / np.linalg.norm([0.2, 1.0, 1.0]) < 2.0 * expected
 
 
@@ -217,7 +217,7 @@ def test_the_radius_is_in_the_metadata(name):
     pixel = 2.0 * np.tan(np.deg2rad(15.0)) / 32 * np.hypot(4.0, 1.5)
     assert noted["scene_units"] / noted["pixels"] == pytest.approx(pixel, rel=0.2)
     if name != "pm":
-        assert noted["pixels"] == pytest.approx(1.5 * (32 * 32 / 256**2) ** (1 / 4), rel=0.01)
+        assert noted["pixels"] == pytest.approx(2.0 * (32 * 32 / 256**2) ** (1 / 3), rel=0.01)
 
 
 @pytest.mark.parametrize(
