@@ -64,10 +64,13 @@ _LEFT = 130
 @cache
 def _command(name: str = "") -> Any:
     """The command of this name inside `etendue` as click has it, or all if there is none: to make all takes 0.1 s."""
-    one = copy(app)
-    one.registered_commands = [info for info in app.registered_commands if _name(info) == name]
-    one.registered_groups = [info for info in app.registered_groups if info.name == name]
-    made = typer.main.get_command(one if one.registered_commands or one.registered_groups else app)
+    chosen = copy(app)
+    if name:
+        chosen.registered_commands = [info for info in app.registered_commands if _name(info) == name]
+        chosen.registered_groups = [info for info in app.registered_groups if info.name == name]
+        if not (chosen.registered_commands or chosen.registered_groups):
+            return _command()
+    made = typer.main.get_command(chosen)
     _without_types(made)
     return made
 
