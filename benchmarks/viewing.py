@@ -47,7 +47,7 @@ def measure(
         ("scene", "first, s", "pictures/s", "of size", "CPU ms each", "bar", "input to picture, ms"),
     )
     for name in scenes:
-        with view(_source(name), size=size) as viewer:
+        with view(_source(name), "path", size=size) as viewer:
             for _ in range(_WARM_UPS):  # kernels, and the resolution that keeps the pace
                 if len(asyncio.run(_moved(viewer, seconds))[1]) > 1:
                     break
@@ -66,7 +66,7 @@ def measure(
         f"whose scene is loaded and kernels compiled (bar {FIRST:g} s); a busy machine lowers both"
     )
     record.notes.append(
-        f"input to picture: {_INPUTS} movements of the camera while passes of the default method are made, each to the "
+        f"input to picture: {_INPUTS} movements of the camera while passes of path are made, each to the "
         "arrival of the first picture from there"
     )
     yield record
