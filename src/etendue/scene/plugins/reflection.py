@@ -22,6 +22,7 @@ def make_ward() -> type:
 
 
 def _with_lobe(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
+    """The BSDF class of a lobe."""
 
     class DiffuseAndLobe(mi.BSDF):
         """f = k_d / pi + k_s lobe; a component is selected by its share of the reflectance and sampled."""
