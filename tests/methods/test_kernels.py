@@ -12,6 +12,7 @@ from support.running import go, prepared
 from support.tables import thinned
 
 from etendue import methods
+from etendue.core import as_array
 
 #: With more work per pass than the defaults leave to so small a picture.
 _SETTINGS: dict[str, dict[str, Any]] = {
@@ -160,3 +161,19 @@ def test_a_changed_value_needs_no_kernel_of_its_own(lamps: tuple[str, ...]) -> N
 def test_no_changed_value_needs_a_kernel_of_its_own(name: str) -> None:
     """Twenty values of each."""
     assert unsteady(stage(), name, CHANGED, 20) == {}
+
+
+def test_numbers_of_the_device_are_read_without_a_kernel() -> None:
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        turned = mi.Transform4f().rotate([0.0, 1.0, 0.0], 20.0)
+        read = [as_array(value) for value in (turned, mi.Color3f(0.25, 0.5, 1.0), mi.UInt32(4), mi.Bool(True))]
+        assert not launched()
+    assert [(one.shape, one.dtype.name) for one in read] == [
+        ((4, 4, 1), "float32"),
+        ((3, 1), "float32"),
+        ((1,), "uint32"),
+        ((1,), "bool"),
+    ]
+    np.testing.assert_array_equal(read[0], np.asarray(turned.matrix))
+    np.testing.assert_array_equal(read[1][:, 0], [0.25, 0.5, 1.0])

@@ -49,7 +49,7 @@ def test_it_has_less_noise(method, most):
     assert noise(method, True) < most * noise(method, False)
 
 
-@pytest.mark.parametrize("method", thinned(METHODS, ("light", "sppm")))
+@pytest.mark.parametrize("method", thinned([name for name in METHODS if name != "auto"], ("light", "sppm")))
 def test_every_method_says_what_it_has_found(method):
     made = prepared(scenes.hut("constant"), method)
     assert made.notes["openings"] > 3.0
@@ -69,14 +69,29 @@ def test_a_window_with_a_pane():
     assert prepared(scenes.hut("sunsky", pane=True), "bpt").notes["openings"] > 3.0
 
 
-@pytest.mark.parametrize(("pane", "chosen"), [(False, "bpt"), (True, "vcm")])
-def test_a_short_run_of_auto_uses_light_paths(pane, chosen):
-    made = prepared(scenes.hut("constant", pane=pane), "auto")
+@pytest.mark.parametrize(("suns", "chosen"), [("directional constant", "bpt"), ("constant", "path")])
+def test_a_short_run_of_auto_uses_light_paths_for_a_sun(suns, chosen):
+    made = prepared(scenes.hut(*suns.split()), "auto")
     made.method.plan(1.0, None, None)
     assert made._brief == FIXED[chosen]
-    closed = prepared(scenes.hut("constant", pane=pane), "auto", openings=False)
+    assert (made.notes.get("openings", 0.0) > 3.0) == (chosen != "path")
+    closed = prepared(scenes.hut(*suns.split()), "auto", openings=False)
     closed.method.plan(1.0, None, None)
     assert closed._brief == FIXED["path"]
+
+
+def test_a_short_run_of_auto_merges_behind_panes():
+    made = prepared(scenes.hut("constant", pane=True), "auto")
+    made.lights.has_sun = True
+    made.method.plan(1.0, None, None)
+    assert made._brief == FIXED["vcm"]
+
+
+@pytest.mark.slow
+def test_a_run_of_auto_that_learns_finds_them():
+    made = prepared(scenes.hut("constant"), "auto")
+    made.step(0, 1)
+    assert made.notes["openings"] > 3.0
 
 
 @pytest.mark.parametrize("method", thinned(["bpt", "sppm"], ["sppm"]))

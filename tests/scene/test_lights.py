@@ -173,3 +173,32 @@ def test_emitters_that_are_all_black(black):
         scenes.load(described | {"lamp": black})
     lights = LightTable(mi.load_dict(described | {"lamp": black}))  # where lamps may have been switched off
     assert lights.is_black and lights.powers.sum() == 0.0 and lights.probabilities.sum() == 1.0
+
+
+def sky(name: str) -> dict[str, Any]:
+    """An infinite light of that kind: even, or with a spot as bright as the rest, or as a fiftieth of it."""
+    pixels = np.ones((64, 128, 3), np.float32)
+    match name:
+        case "spot" | "faint spot":
+            pixels[20, 60:62] = pixels.sum() / 6 / (1.0 if name == "spot" else 50.0)
+            return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
+        case "map":
+            return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
+        case "clear":
+            return {"type": "sunsky", "sun_direction": [0.5, 0.3, 0.8]}
+        case "sky":
+            return {"type": "sunsky", "sun_direction": [0.5, 0.3, 0.8], "sun_scale": 0.0}
+        case _:
+            return {"type": name}
+
+
+@pytest.mark.parametrize(
+    ("name", "has_sun"),
+    [
+        *(("constant", False), ("map", False), ("faint spot", False), ("sky", False)),
+        *(("directional", True), ("spot", True), ("clear", True)),
+    ],
+)
+def test_a_sun_is_a_light_of_few_directions(name, has_sun):
+    assert table(lamp=sky(name)).has_sun == has_sun
+    assert not table(lamp={"type": "point"}).has_sun

@@ -1,6 +1,7 @@
 """Shared basics, independent of rendering: settings, measurements, methods, random numbers, errors, backend."""
 
 from .backend import (
+    as_array as as_array,
     check_llvm as check_llvm,
     check_variant as check_variant,
     choose_variant as choose_variant,

@@ -17,7 +17,7 @@ from functools import cache, partial, wraps
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from . import llvm
 from .errors import BackendError
@@ -228,6 +228,28 @@ def on_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase
     result = array_type(np.asarray(values).ravel().tolist())
     dr.make_opaque(result)
     return result
+
+
+def as_array(value: Any) -> NDArray[Any]:
+    """The numbers of a Dr.Jit array, or the matrix of a transform, as a NumPy array of its shape.
+
+    The entries of a single number, vector or matrix are read one by one: NumPy would have a kernel put them together,
+    and literals are compiled into it.
+    """
+    import drjit as dr
+
+    if "Transform" in type(value).__name__:  # not by the attribute 'matrix', which every Dr.Jit array has
+        value = value.matrix
+    if not dr.is_jit_v(value) or dr.is_tensor_v(value) or dr.width(value) != 1:
+        return np.ascontiguousarray(np.asarray(value))
+    dr.eval(value)
+    return np.array(_entries(value), dr.type_v(value).name.lower()).reshape(dr.shape(value))
+
+
+def _entries(value: Any) -> list[Any]:
+    import drjit as dr
+
+    return [value[0]] if dr.depth_v(value) == 1 else [entry for part in value for entry in _entries(part)]
 
 
 def copied_to_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase:

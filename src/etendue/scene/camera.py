@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from etendue.core import OptionError, is_number
+from etendue.core import OptionError, as_array, is_number
 
-from .graph import as_array, contents, plugin_name
+from .graph import contents, plugin_name
 from .parsing import read_properties
 from .space import SENSORS
 
@@ -94,7 +94,7 @@ def described_sensor(problem: Problem) -> dict[str, Any] | None:
     if kind not in SENSORS:
         return None
     values, film = dict(contents(sensor).values), sensor.film()
-    matrix = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+    matrix = as_array(sensor.world_transform()).astype(np.float64).reshape(4, 4)
     matrix[:3, 3] = problem.space.to_scene(matrix[:3, 3])
     made: dict[str, Any] = {"type": kind, "to_world": [[float(f"{x:.9g}") for x in row] for row in matrix]}
     if "x_fov" in values:

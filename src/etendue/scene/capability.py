@@ -11,11 +11,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import SceneError, UnsupportedError, check_variant
+from etendue.core import SceneError, UnsupportedError, as_array, check_variant
 
 from .bands import require_colours
 from .changes.transforms import fault, mirrors, misshapen
-from .graph import as_array, below, contents, describe, plugin_name, shapes, without_literals
+from .graph import below, contents, describe, plugin_name, shapes, without_literals
 from .lamps.environments import is_unsampled
 from .lamps.radiance import is_black
 from .media import is_constant, media_of, values_of, volume_of

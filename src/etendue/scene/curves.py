@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .graph import as_array, plugin_name, shapes
+from etendue.core import as_array
+
+from .graph import plugin_name, shapes
 
 if TYPE_CHECKING:
     import mitsuba as mi

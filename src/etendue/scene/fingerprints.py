@@ -11,7 +11,9 @@ import hashlib
 import re
 from typing import TYPE_CHECKING, Any
 
-from .graph import as_array, contents, plugin_name, shapes
+from etendue.core import as_array
+
+from .graph import contents, plugin_name, shapes
 from .space import METERS
 
 if TYPE_CHECKING:

@@ -9,8 +9,6 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
 #: C++ class names whose plugin name is not the lower-case name.
 _PLUGIN_NAMES = {
@@ -89,13 +87,6 @@ def contents(item: mi.Object) -> Contents:
     collector = _collector(mi.variant())(item)
     item.traverse(collector)
     return collector.contents
-
-
-def as_array(value: Any) -> NDArray[Any]:
-    """A value of :class:`Contents` on the host; a transform becomes its matrix."""
-    if "Transform" in type(value).__name__:  # not by the attribute 'matrix', which every Dr.Jit array has
-        value = value.matrix
-    return np.ascontiguousarray(np.asarray(value))
 
 
 def below(item: mi.Object) -> Iterator[mi.Object]:

@@ -13,10 +13,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Array, UnsupportedError, on_device
+from etendue.core import Array, UnsupportedError, as_array, on_device
 
 from .both import pdf_of_both, value_of_both
-from .graph import as_array, contents, describe, plugin_name, shapes
+from .graph import contents, describe, plugin_name, shapes
 from .members import Members, bsdfs
 from .packet import is_spectral, spread_wavelengths
 

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SceneError, UnsupportedError, copied_to_device, uses_cuda
+from etendue.core import Array, SceneError, UnsupportedError, as_array, copied_to_device, uses_cuda
 
 from .graph import describe, plugin_name
 from .immersion import medium_at
@@ -48,7 +48,7 @@ def with_own_meter(problem: Problem) -> Problem:
     if kind == "radiancemeter":
         from etendue.lighting import Meters
 
-        to_world = np.asarray(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+        to_world = as_array(sensor.world_transform()).astype(np.float64).reshape(4, 4)
         return with_meters(problem, Meters(to_world[None, :3, 3], to_world[None, :3, 2], "radiance"))
     if kind == "irradiancemeter":
         width, height = problem.size

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Array, logger
+from etendue.core import Array, as_array, logger
 
 from .builtin.table import BundledScene
 from .graph import below, contents, describe, plugin_name
@@ -133,7 +133,7 @@ def _largest_single(described: Mapping[str, Any]) -> float:
         if isinstance(value, Mapping):
             largest = max(largest, _largest_single(value))
         elif "Transform4f" in type(value).__name__:
-            largest = max(largest, float(np.abs(np.asarray(value.matrix, float).reshape(4, 4)[:3, 3]).max()))
+            largest = max(largest, float(np.abs(as_array(value).astype(float).reshape(4, 4)[:3, 3]).max()))
     return largest
 
 
@@ -189,7 +189,7 @@ def _scale(props: mi.Properties, keys: Iterable[str], factor: float, defaults: d
 
 def _matrix(props: mi.Properties) -> Array:
     transform = read_properties(props).get("to_world")
-    return np.eye(4) if transform is None else np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
+    return np.eye(4) if transform is None else as_array(transform).astype(np.float64).reshape(4, 4)
 
 
 def _translation(offset: ArrayLike) -> Array:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from etendue.core import OptionError
+from etendue.core import OptionError, as_array
 
 from .graph import contents, plugin_name
 from .parsing import Size, scaled_window
@@ -46,7 +46,7 @@ def resized_sensor(sensor: mi.Sensor, size: Size, pinhole: bool = False) -> mi.S
     window = [int(v) for v in (*film.crop_offset(), *film.crop_size())]
     x, y, width, height = scaled_window(window, old, size)
     values = dict(contents(sensor).values)
-    matrix = np.asarray(values.pop("to_world").matrix, dtype=np.float64).reshape(4, 4)
+    matrix = as_array(values.pop("to_world")).astype(np.float64).reshape(4, 4)
     plain: dict[str, Any] = {
         k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")
     }

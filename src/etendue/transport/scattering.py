@@ -103,7 +103,9 @@ def evaluate_camera_end(bsdf: Material, si: mi.SurfaceInteraction3f, wo: mi.Vect
 def evaluate_light_end(bsdf: Material, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
     """The BSDF at a light vertex for the local direction ``wo`` of the eye side; the value times :func:`cosine_ratio`
     is the adjoint BSDF times its cosine."""
-    return Evaluated(*bsdf.call(_light_end, si, wo, active=active))
+    # The camera end with the directions exchanged: a kernel then holds one function for both ends.
+    value, reverse, pdf = bsdf.call(_camera_end, exchanged(si, wo), si.wi, active=active)
+    return Evaluated(value, pdf, reverse)
 
 
 # Functions that are dispatched get the BSDF as an object, not as a pointer.
@@ -114,7 +116,7 @@ def _camera_end(
 ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, active)
     reverse = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, active)
-    return _not_tangential(bsdf, wo, value, pdf, reverse)
+    return _not_tangential(bsdf, si.wi, wo, value, pdf, reverse)
 
 
 def _light_end(
@@ -122,16 +124,16 @@ def _light_end(
 ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
     pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
-    return _not_tangential(bsdf, wo, value, pdf, reverse)
+    return _not_tangential(bsdf, si.wi, wo, value, pdf, reverse)
 
 
 def _not_tangential(
-    bsdf: mi.BSDF, wo: mi.Vector3f, value: mi.Spectrum, pdf: mi.Float, reverse_pdf: mi.Float
+    bsdf: mi.BSDF, wi: mi.Vector3f, wo: mi.Vector3f, value: mi.Spectrum, pdf: mi.Float, reverse_pdf: mi.Float
 ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
-    """The same values, 0 for directions tangential to a surface, for which some materials return NaN."""
+    """The same values, 0 if one of the directions is tangential to a surface, for which some materials return NaN."""
     if is_phase(bsdf):
         return value, pdf, reverse_pdf
-    valid = dr.abs(mi.Frame3f.cos_theta(wo)) > _GRAZING
+    valid = dr.minimum(*(dr.abs(mi.Frame3f.cos_theta(w)) for w in (wi, wo))) > _GRAZING
     return value & valid, dr.select(valid, pdf, 0.0), dr.select(valid, reverse_pdf, 0.0)
 
 
@@ -309,7 +311,7 @@ def _uniform_end(
     else:
         value = bsdf.eval(mi.BSDFContext(), si, wo, active)
     _, pdf = _uniform_share(bsdf)
-    return _not_tangential(bsdf, wo, value, mi.Float(pdf), mi.Float(pdf))
+    return _not_tangential(bsdf, si.wi, wo, value, mi.Float(pdf), mi.Float(pdf))
 
 
 def _uniform_share(bsdf: mi.BSDF) -> tuple[float, float]:

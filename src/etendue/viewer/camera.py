@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Array, OptionError
+from etendue.core import Array, OptionError, as_array
 from etendue.scene import Problem, RenderSpace, graph
 
 from .protocol import number, numbers
@@ -276,7 +276,7 @@ def projection(problem: Problem, pose: Pose) -> list[list[float]] | None:
 
 def _matrix(sensor: mi.Sensor) -> Array:
     values = dict(graph.contents(sensor).values)
-    return np.array(graph.as_array(values["to_world"]), dtype=np.float64).reshape(4, 4)
+    return np.array(as_array(values["to_world"]), dtype=np.float64).reshape(4, 4)
 
 
 def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float:

@@ -11,7 +11,7 @@ If passes merge, some take turns with a larger radius, and the radius of the fol
 All passes are part of the picture, with equal weights: each is an estimate of the picture, whatever earlier passes have
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
-Nothing is learned in a run that is too short for it, in seconds or in samples. Light through windows
+Nothing is learned in a run that is too short for it, in seconds or in samples. Light of a sun through windows
 (:mod:`..openings`) is then rendered by ``bpt``, with mirrors or glass by ``vcm``. Other scenes, below :data:`_LEAST`
 seconds: by ``bpt`` with mirrors or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm``
 if light paths cannot be connected to the sensor), by ``path`` without. Up to :data:`_PER_KIND` seconds more for each
@@ -131,8 +131,9 @@ class Auto(Carrying, ImageMethod):
         self._forget_states()
         self._vcm: Vcm | None = None
         super().prepare(problem, seed)
-        self.lights = through_openings(self, seed)
         self._seed = seed
+        self._opened: LightTable | None = None
+        self.notes.pop("openings", None)  # of the scene before
         self._vcm_state: State = {}
         self._choice = self.settings.choice
         if one_way(problem.scene) is not None:
@@ -238,7 +239,7 @@ class Auto(Carrying, ImageMethod):
             )
             begin = time.perf_counter()
             vcm = Vcm(settings)
-            vcm.opened = self.lights
+            vcm.opened = self._through_openings()
             if own.choice not in FIXED:
                 most = max(candidate.light_paths for candidate in CANDIDATES)
                 vcm.light_stride = round(most * self.camera.pixels * self.samples_per_iteration)
@@ -252,6 +253,14 @@ class Auto(Carrying, ImageMethod):
             self._vcm = vcm
         self._vcm.recording = self.recording
         return self._vcm
+
+    def _through_openings(self) -> LightTable:
+        """The lights with their openings, which passes of path tracing do not need."""
+        if self._opened is None:
+            super().take_wavelengths(0, self._seed)  # the same whenever they are found
+            self._opened = through_openings(self, self._seed)
+            super().take_wavelengths(*self._wavelengths_of)
+        return self._opened
 
     @property
     def _rr_depth(self) -> int:
@@ -436,7 +445,7 @@ class Auto(Carrying, ImageMethod):
         kinds = {m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)}
         if seconds is None or seconds >= _LEAST + _PER_KIND * len(kinds):
             return None
-        if self.lights.lines is not None:
+        if self.lights.has_sun and self._through_openings().lines is not None:
             return FIXED["vcm" if self._has_specular() else "bpt"]
         if seconds >= _LEAST:
             return FIXED["vcm" if self._caustics else "path"]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from etendue.core import Array, SceneError
+from etendue.core import Array, SceneError, as_array
 
 from ..parsing import read_property
 from ..space import warn_once
@@ -106,7 +106,7 @@ def _settled(kind: str, transform: Any, called: str) -> Array | None:
             warn_once(f"{called} has a scale of {scale:.4g}, which is left out: only its rotation has a meaning")
     if difference < _EXACT and np.abs(exact - part).max() < _EXACT * np.abs(part).max():
         return None
-    matrix = np.array(transform.matrix, np.float64).reshape(4, 4)
+    matrix = as_array(transform).astype(np.float64).reshape(4, 4)
     matrix[:3, :3] = exact
     return matrix
 
@@ -115,7 +115,7 @@ def _parts(transform: Any) -> tuple[Array, Array]:
     """The linear parts of a transform and of its inverse, (3, 3), or (2, 2) of a built texture."""
     side = 3 if "3" in type(transform).__name__ else 4
     part, transposed = (
-        np.array(matrix, np.float64).reshape(side, side)[:-1, :-1]
+        as_array(matrix).astype(np.float64).reshape(side, side)[:-1, :-1]
         for matrix in (transform.matrix, transform.inverse_transpose)
     )
     return part, transposed.T

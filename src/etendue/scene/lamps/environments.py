@@ -35,10 +35,10 @@ def _steepness(emitter: mi.Emitter) -> float:
     """The largest ratio of the texels of a square at a pole to those of its other side."""
     import mitsuba as mi
 
-    data = mi.traverse(emitter)["data"]
+    rows = np.asarray(mi.traverse(emitter)["data"])
     largest = 0.0
-    for ends in (data[:2], data[-2:][::-1]):
-        pole, beside = np.asarray(ends, np.float64).mean(axis=2)
+    for ends in (rows[:2], rows[-2:][::-1]):
+        pole, beside = ends.mean(axis=2, dtype=np.float64)
         lit, dim = np.maximum(pole[:-1], pole[1:]), np.maximum(beside[:-1], beside[1:])
         with np.errstate(divide="ignore", invalid="ignore"):
             largest = max(largest, float(np.where(lit > 0.0, lit / dim, 0.0).max()))

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import numpy as np
 
-from etendue.core import Array, copied_to_device
+from etendue.core import Array, as_array, copied_to_device
 
-from ..graph import as_array, contents, describe, described_emitter, plugin_name
+from ..graph import contents, describe, described_emitter, plugin_name
 from ..space import half_diagonal, warn_once
 
 if TYPE_CHECKING:

@@ -17,7 +17,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graph import as_array, contents, plugin_name
+from etendue.core import as_array
+
+from ..graph import contents, plugin_name
 from ..packet import is_spectral, spread_wavelengths
 
 #: Shapes that sample points uniformly by an invertible map of the unit square. All other lights are meshes.

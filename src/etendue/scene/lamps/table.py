@@ -34,10 +34,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SceneError, copied_to_device, in_steps, on_device
+from etendue.core import Array, SceneError, as_array, copied_to_device, in_steps, on_device
 from etendue.density import LineDensity
 
-from ..graph import as_array, contents, plugin_name
+from ..graph import contents, plugin_name
 from ..members import Members
 from ..packet import Packet, is_spectral, spread_wavelengths
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
@@ -48,6 +48,9 @@ from .rays import own_ray
 
 #: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
+#: Cells along an edge of a cube map, each of about 6 degrees, and the share of an infinite light's power in one of them
+#: from which on there is a sun. A sun between four cells still has more of a clear day's power.
+_CUBE, _SUN = 16, 0.1
 #: Packets of wavelengths at which a uniform area light is evaluated for its power.
 _WAVELENGTHS = 64
 #: Smallest probability of an emitter that is not known to be black, relative to an equal share.
@@ -167,6 +170,8 @@ class LightTable:
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
         #: Whether there are lights that no ray can hit.
         self.has_delta = any(r.is_delta for r in rows)
+        #: Whether there is a sun: an infinite light much of whose power comes from few directions.
+        self.has_sun = any(r.is_sun for r in rows)
         #: Whether a light is a mesh with vertex normals.
         self.has_smooth = any(r.cells is not None and is_smooth(e) for r, e in zip(rows, emitters, strict=True))
         self.has_sphere = any(r.sphere[3] for r in rows)
@@ -337,6 +342,7 @@ class _Row:
     is_web: bool = False  #: whether the light is a luminaire
     cells: RadianceCells | None = None  #: of an area light whose radiance varies
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical light
+    is_sun: bool = False  #: whether narrow directions send much of an infinite light's power
 
     def lamp(self, emitter: mi.Emitter) -> Lamp:
         """What the light shines at a place, times its weight."""
@@ -347,7 +353,7 @@ class _Row:
             values = mi.traverse(emitter)
             if "to_world" not in values:
                 return Lamp(power, as_array(values["position"]).ravel().tolist())
-            place = np.asarray(values["to_world"].matrix, np.float64).reshape(4, 4)
+            place = as_array(values["to_world"]).astype(np.float64).reshape(4, 4)
             forward = -place[:3, 2] if self.is_web else place[:3, 2]
             axis, cosine = forward / np.linalg.norm(forward), 1.0 - 0.5 / (np.pi * self.direction_density)
             even = 4.0 * np.pi * self.direction_density
@@ -370,8 +376,8 @@ def _describe(emitter: mi.Emitter, bound: mi.BoundingSphere3f) -> _Row:
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
         disc = np.pi * float(np.asarray(bound.radius).ravel()[0]) ** 2
         by_rays = not is_spectral() and plugin_name(emitter) != "sky"  # which emits no rays
-        power = _power(emitter) if by_rays else _power_through(emitter, bound.center, disc)
-        return _Row(name, "infinite", power, weight, 1.0 / disc, is_delta=one_direction)
+        d, flux = _rays(emitter) if by_rays else _rays_through(emitter, bound.center, disc)
+        return _Row(name, "infinite", flux.mean(), weight, 1.0 / disc, is_delta=one_direction, is_sun=_is_sun(d, flux))
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         projects, is_web = "irradiance" in mi.traverse(emitter), plugin_name(emitter) == "luminaire"
         power, density = _power(emitter), _cone_density(emitter)
@@ -400,18 +406,38 @@ def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:
 
 def _power(emitter: mi.Emitter) -> float:
     """Emitted power, the mean weight of emitted rays, averaged over the colour channels."""
+    return float(_rays(emitter)[1].mean())
+
+
+def _rays(emitter: mi.Emitter) -> tuple[Array, Array]:
+    """Directions of emitted rays, (n, 3), and their weights, (n,), means over the colour channels."""
     u = _weyl(_POWER_SAMPLES)
     wavelengths = spread_wavelengths(_POWER_SAMPLES)
-    _, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), wavelengths)
-    return float(np.asarray(weight, dtype=np.float64).mean())
+    ray, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), wavelengths)
+    return _on_host(ray.d, weight)
 
 
-def _power_through(emitter: mi.Emitter, centre: mi.Point3f, disc: float) -> float:
-    """Power of an infinite emitter through discs of an area around a point."""
+def _rays_through(emitter: mi.Emitter, centre: mi.Point3f, disc: float) -> tuple[Array, Array]:
+    """The same of rays from an infinite emitter, through discs of an area around a point."""
     at = dr.zeros(mi.Interaction3f, _POWER_SAMPLES)
     at.p, at.wavelengths = mi.Point3f(centre), spread_wavelengths(_POWER_SAMPLES)
-    _, irradiance = emitter.sample_direction(at, mi.Point2f(*_weyl(_POWER_SAMPLES)[:2]))
-    return disc * float(np.asarray(irradiance, dtype=np.float64).mean())
+    ds, irradiance = emitter.sample_direction(at, mi.Point2f(*_weyl(_POWER_SAMPLES)[:2]))
+    return _on_host(ds.d, disc * irradiance)
+
+
+def _on_host(d: mi.Vector3f, weight: mi.Spectrum) -> tuple[Array, Array]:
+    dr.eval(d, weight)
+    d, weight = (np.stack([np.broadcast_to(part, _POWER_SAMPLES) for part in value], 1) for value in (d, weight))
+    return d, weight.mean(axis=1, dtype=np.float64)
+
+
+def _is_sun(d: Array, flux: Array) -> bool:
+    """Whether one of the cells of a cube map, of some degrees, has much of the flux of directions."""
+    d = np.nan_to_num(d)  # of a black sky
+    largest = np.abs(d).max(axis=1, keepdims=True)
+    cell = np.floor(d / np.maximum(largest, 1e-30) * (0.5 * _CUBE)).astype(np.int64) @ [1, 4 * _CUBE, 16 * _CUBE**2]
+    _, cell = np.unique(cell, return_inverse=True)
+    return bool(np.bincount(cell, flux).max() > _SUN * flux.sum())
 
 
 def _radiance(emitter: mi.Emitter) -> float:
@@ -436,7 +462,7 @@ def _cone_density(emitter: mi.Emitter) -> float:
     elif "irradiance" in parameters:
         u = _weyl(_POWER_SAMPLES)
         ray, _ = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), spread_wavelengths())
-        axis = np.asarray(parameters["to_world"].matrix, np.float64).reshape(4, 4)[:3, 2]
+        axis = as_array(parameters["to_world"]).astype(np.float64).reshape(4, 4)[:3, 2]
         cosine = float((axis / np.linalg.norm(axis) @ np.asarray(ray.d, np.float64)).min())
     elif plugin_name(emitter) == "luminaire":
         cosine = emitter.table.least_cosine

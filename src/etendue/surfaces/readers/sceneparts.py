@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from etendue.core import Array, SceneError, UnsupportedError, use_variant
+from etendue.core import Array, SceneError, UnsupportedError, as_array, use_variant
 from etendue.scene import RenderSpace, graph
 
 from ..patches import Patches
@@ -72,7 +72,7 @@ def _group_of(instance: Any) -> str:
 
 
 def _to_scene(instance: Any, space: RenderSpace) -> Array:
-    (matrix,) = (graph.as_array(value) for name, value in graph.contents(instance).values if name == "to_world")
+    (matrix,) = (as_array(value) for name, value in graph.contents(instance).values if name == "to_world")
     result = np.array(matrix, dtype=np.float64).reshape(4, 4)
     result[:3, 3] = space.to_scene(result[:3, 3])
     result[:3, :3] /= space.scale
