@@ -7,7 +7,7 @@ import json
 import statistics
 import time
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Annotated, Any
 
 import typer
@@ -26,8 +26,9 @@ from .options import Names, Rounds, Size
 #: passes are made, to the picture.
 BARS = {"cornell-box": 30.0, "caustics": 10.0, "grey-white-room": 4.0}
 FIRST, REACTION = 1.0, 100.0
-#: Inputs whose reactions are measured, and seconds between them.
-_INPUTS, _BETWEEN = 9, 1.2
+#: Inputs whose reactions are measured, and seconds between them: between the least and the sum, evenly, since a person's
+#: inputs do not wait for the begin of a pass.
+_INPUTS, _BETWEEN, _MORE = 15, 1.2, 0.5
 #: Most times of moving before that which counts.
 _WARM_UPS = 8
 #: Size of the moving picture by which a frozen function is compared.
@@ -66,8 +67,8 @@ def measure(
         f"whose scene is loaded and kernels compiled (bar {FIRST:g} s); a busy machine lowers both"
     )
     record.notes.append(
-        f"input to picture: {_INPUTS} movements of the camera while passes of path are made, each to the "
-        "arrival of the first picture from there"
+        f"input to picture: {_INPUTS} movements of the camera at any time while passes of path are made, each to "
+        "the arrival of the first picture from there"
     )
     yield record
     yield _frozen(list(scenes), rounds)
@@ -159,14 +160,16 @@ async def _moved(viewer: Viewer, seconds: float) -> tuple[float, list[dict[str, 
 
 
 async def _reactions(viewer: Viewer) -> list[float]:
-    """Seconds from a movement of the camera to the picture, each after passes have begun."""
+    """Seconds from a movement of the camera to the picture, at any time while passes are made."""
     waits = []
     async with _page(viewer) as page:
-        await page.frame()
-        for _ in range(_INPUTS):
-            rest = time.perf_counter() + _BETWEEN
-            while time.perf_counter() < rest or (await page.frame())["moving"]:
-                await page.frame()
+        for number in range(_INPUTS):
+            while (await page.frame())["moving"]:
+                pass
+            rest = time.perf_counter() + _BETWEEN + _MORE * (0.618034 * number % 1.0)
+            while (left := rest - time.perf_counter()) > 0:
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(page.frame(), left)
             begin = time.perf_counter()
             page.turn(0.004)
             while not (await page.frame())["moving"]:

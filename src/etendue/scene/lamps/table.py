@@ -39,7 +39,7 @@ from etendue.density import LineDensity
 
 from ..graph import contents, plugin_name
 from ..members import Members
-from ..packet import Packet, is_spectral, spread_wavelengths
+from ..packet import Packet, spread_wavelengths
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .places import Groups, Lamp, LightsAt
 from .points import LightPoints
@@ -375,9 +375,9 @@ def _describe(emitter: mi.Emitter, bound: mi.BoundingSphere3f) -> _Row:
     one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
         disc = np.pi * float(np.asarray(bound.radius).ravel()[0]) ** 2
-        by_rays = not is_spectral() and plugin_name(emitter) != "sky"  # which emits no rays
-        d, flux = _rays(emitter) if by_rays else _rays_through(emitter, bound.center, disc)
-        return _Row(name, "infinite", flux.mean(), weight, 1.0 / disc, is_delta=one_direction, is_sun=_is_sun(d, flux))
+        d, irradiance = _shone(emitter, bound.center)
+        power, is_sun = disc * float(irradiance.mean()), _is_sun(d, irradiance)
+        return _Row(name, "infinite", power, weight, 1.0 / disc, is_delta=one_direction, is_sun=is_sun)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
         projects, is_web = "irradiance" in mi.traverse(emitter), plugin_name(emitter) == "luminaire"
         power, density = _power(emitter), _cone_density(emitter)
@@ -406,38 +406,30 @@ def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:
 
 def _power(emitter: mi.Emitter) -> float:
     """Emitted power, the mean weight of emitted rays, averaged over the colour channels."""
-    return float(_rays(emitter)[1].mean())
-
-
-def _rays(emitter: mi.Emitter) -> tuple[Array, Array]:
-    """Directions of emitted rays, (n, 3), and their weights, (n,), means over the colour channels."""
     u = _weyl(_POWER_SAMPLES)
     wavelengths = spread_wavelengths(_POWER_SAMPLES)
-    ray, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), wavelengths)
-    return _on_host(ray.d, weight)
+    _, weight = own_ray(emitter, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), wavelengths)
+    return float(np.asarray(weight, dtype=np.float64).mean())
 
 
-def _rays_through(emitter: mi.Emitter, centre: mi.Point3f, disc: float) -> tuple[Array, Array]:
-    """The same of rays from an infinite emitter, through discs of an area around a point."""
+def _shone(emitter: mi.Emitter, point: mi.Point3f) -> tuple[Array, Array]:
+    """Directions in which a point sees an infinite emitter, (n, 3), and irradiances from there that have its mean,
+    (n,), means over the colour channels."""
     at = dr.zeros(mi.Interaction3f, _POWER_SAMPLES)
-    at.p, at.wavelengths = mi.Point3f(centre), spread_wavelengths(_POWER_SAMPLES)
+    at.p, at.wavelengths = mi.Point3f(point), spread_wavelengths(_POWER_SAMPLES)
     ds, irradiance = emitter.sample_direction(at, mi.Point2f(*_weyl(_POWER_SAMPLES)[:2]))
-    return _on_host(ds.d, disc * irradiance)
+    dr.eval(ds.d, irradiance)
+    d, values = (np.stack([np.broadcast_to(x, _POWER_SAMPLES) for x in value], 1) for value in (ds.d, irradiance))
+    return d, values.mean(axis=1, dtype=np.float64)
 
 
-def _on_host(d: mi.Vector3f, weight: mi.Spectrum) -> tuple[Array, Array]:
-    dr.eval(d, weight)
-    d, weight = (np.stack([np.broadcast_to(part, _POWER_SAMPLES) for part in value], 1) for value in (d, weight))
-    return d, weight.mean(axis=1, dtype=np.float64)
-
-
-def _is_sun(d: Array, flux: Array) -> bool:
-    """Whether one of the cells of a cube map, of some degrees, has much of the flux of directions."""
+def _is_sun(d: Array, irradiance: Array) -> bool:
+    """Whether much of the irradiance comes from one of the cells of a cube map."""
     d = np.nan_to_num(d)  # of a black sky
     largest = np.abs(d).max(axis=1, keepdims=True)
     cell = np.floor(d / np.maximum(largest, 1e-30) * (0.5 * _CUBE)).astype(np.int64) @ [1, 4 * _CUBE, 16 * _CUBE**2]
     _, cell = np.unique(cell, return_inverse=True)
-    return bool(np.bincount(cell, flux).max() > _SUN * flux.sum())
+    return bool(np.bincount(cell, irradiance).max() > _SUN * irradiance.sum())
 
 
 def _radiance(emitter: mi.Emitter) -> float:
