@@ -26,7 +26,7 @@ from .options import Names, Rounds, Size
 #: passes are made, to the picture.
 BARS = {"cornell-box": 30.0, "caustics": 10.0, "grey-white-room": 4.0}
 FIRST, REACTION = 1.0, 100.0
-#: Inputs whose reactions are measured, and seconds between them: between the least and the sum, evenly, since a person's
+#: Inputs whose reactions are measured; seconds between them, and the range of what is added to these, since a person's
 #: inputs do not wait for the begin of a pass.
 _INPUTS, _BETWEEN, _MORE = 15, 1.2, 0.5
 #: Most times of moving before that which counts.
