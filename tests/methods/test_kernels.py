@@ -1,6 +1,9 @@
 """Kernels that another process, or another pass, finds in the cache."""
 
+import os
 import re
+import subprocess
+import sys
 from typing import Any
 
 import drjit as dr
@@ -67,14 +70,29 @@ def test_no_number_of_a_scene_needs_a_kernel_to_be_read() -> None:
         assert first and launched() <= first
 
 
-def test_a_pilot_shares_the_kernels_of_passes_that_learn_emission() -> None:
+def pilot_and_pass(name: str, samples: int) -> None:
+    problem = scenes.load(room_of_nine(1))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        runner = prepared(scenes.load(room_of_nine(1)), "vcm", 1, samples_per_pass=4)
+        runner = prepared(problem, name, 1, samples_per_pass=samples)
         pilot = launched(1000)
         go(runner, 1, 1)
         walks = launched(1000)
-    assert len(walks) == 2 and walks <= pilot
+    assert len(walks) == 2 and walks <= pilot, (walks, pilot)
+
+
+@pytest.mark.parametrize(
+    ("name", "samples"), thinned([("vcm", 4), ("vcm", 1), ("bpt", 4), ("bpt", 1)], [("vcm", 4), ("bpt", 1)])
+)
+def test_a_pilot_shares_the_kernels_of_passes(name: str, samples: int) -> None:
+    """Of passes that learn emission, of several camera paths per pixel and of one; in a process of its own, whose first
+    kernels are those of the pilot."""
+    code = f"import etendue.core; etendue.core.use_variant({mi.variant()!r}); import test_kernels as t; "
+    code += f"t.pilot_and_pass({name!r}, {samples})"
+    here = os.path.dirname(__file__)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([here, os.path.dirname(here), *sys.path])}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
 
 
 #: Parameters that a user may change in a loaded scene, of lamps, camera, surfaces and materials.

@@ -275,6 +275,9 @@ class ImageMethod(Method):
         if not self.one_way:
             refuse_one_way(problem.scene, f"method '{self.name}'")
         graph.without_literals(problem.scene)
+        # Variables are emitted in the order of scopes: those of the scene before all others, once there is a new scope.
+        # Without one, the first kernel of a pilot would not be that of the passes.
+        dr.while_loop((mi.UInt32(0),), lambda n: n < 1, lambda n: (n + 1,), mode="symbolic", label="new scope")
         self.problem, self.scene = problem, problem.scene
         self.bands = self._bands_of(problem)
         self.packet = Packet(self.bands)

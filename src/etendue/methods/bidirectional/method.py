@@ -269,7 +269,8 @@ class Bidirectional(Carrying, ImageMethod):
         for index in range(self._groups):
             light = Lanes(0, self._paths).part(index, self._groups)
             camera, _ = Lanes(0, self.camera.pixels * samples).part(index, self._groups).numbers()
-            pixel, capacity = camera // samples, self._room.capacity(light.count)
+            # Another variable than the camera paths, as in the pilot, also if there is one path per pixel.
+            pixel, capacity = camera // dr.opaque(mi.UInt32, samples), self._room.capacity(light.count)
             films = splats, pyramid, capacity, self.moments
             run = Group("", iteration, seed, radius, light, camera, pixel, samples, *films)
             radiance, counts = self._trace(run)
