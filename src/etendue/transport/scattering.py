@@ -224,7 +224,7 @@ def _scatter(
     active: mi.Bool,
     directions: Sequence[tuple[mi.Vector3f, mi.Bool]],
 ) -> tuple[Scattered, list[Evaluated]]:
-    """Sample and evaluate in one call of the BSDF; separate calls take about 15 % longer."""
+    """Sample and evaluate in one call of the BSDF, which takes less time than separate ones."""
     # The lobe is not stratified: that would cost time and has no measurable effect on the error.
     u = source.decide(vertex, dim.LOBE), mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
 

@@ -147,17 +147,18 @@ class CameraWalk(BidirectionalWalk):
         s.active &= self.goes_on(s, vertex)
         smooth &= s.active
 
-        # ---- Light points and light vertices: the BSDF is sampled, and evaluated for all of them, in one call
+        # ---- Light points: the BSDF is sampled, and evaluated for all of them, in one call
         lights = [self.light_point(vertex, source, smooth, index) for index in range(techniques.next_event)]
-        picked = self._pick_vertices(s, vertex, place, smooth)
-        scattered, evaluated = vertex.sample(source, s.active, [*lights, *picked])
-        for index, light in enumerate(lights):
+        scattered, evaluated = vertex.sample(source, s.active, lights)
+        for index, (light, f) in enumerate(zip(lights, evaluated, strict=True)):
             u = source.decide(vertex.number, dim.NEXT_EVENT + 4 * index + 3)
-            self._next_event(s, vertex, light, evaluated[index], u, share)
+            self._next_event(s, vertex, light, f, u, share)
+
+        # ---- Light vertices: by the same function as their own BSDFs and merges, so that kernels stay small
         connections = []
-        for index, joined in enumerate(picked):
+        for index, joined in enumerate(self._pick_vertices(s, vertex, place, smooth)):
             u = source.decide(vertex.number, dim.CONNECT + index)
-            contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u, share)
+            contribution, weights, rays = self._connection(s, vertex, joined, u, share)
             s.rays += rays
             self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
             if self.choosing is not None and joined.pick is not None:
@@ -253,9 +254,8 @@ class CameraWalk(BidirectionalWalk):
         ) -> tuple[mi.UInt32, list[mi.Spectrum], mi.UInt32]:
             light = stored.read(stored.slot(first + j, active), active, self.visibility)
             joined = self._join(s, vertex, light, active)
-            f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
-            values, _, ray = self._connection(s, vertex, joined, f, u, share)
+            values, _, ray = self._connection(s, vertex, joined, u, share)
             return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
 
         n = dr.width(s.depth)
@@ -282,11 +282,12 @@ class CameraWalk(BidirectionalWalk):
         return _Joined(light, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active, pick)
 
     def _connection(
-        self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float, share: mi.Float | None
+        self, s: _State, vertex: WalkVertex, joined: _Joined, u: mi.Float, share: mi.Float | None
     ) -> tuple[list[mi.Spectrum], Weights, mi.UInt32]:
         """s >= 2, t >= 2: (weighted contribution by radius, weights, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
         other, number, pick = joined.vertex, self.number(s), joined.pick
+        f = vertex.evaluate(joined.direction, joined.active)
         active = joined.active & ~dr.all(f.value == 0.0)
         f_light = other.evaluate(-joined.direction, active)
         cos = vertex.cos(joined.direction)
