@@ -83,7 +83,7 @@ def equal_time(
     scenes: Scenes = ALL,
     size: PictureSize = None,
     seconds: Seconds = 20.0,
-    seeds: Seeds = 1,
+    seeds: Seeds = 3,
     reference_seconds: ReferenceSeconds = 60.0,
     out: Out = OUT,
 ) -> Iterator[Record]:
