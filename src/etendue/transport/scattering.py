@@ -122,9 +122,8 @@ def _camera_end(
 def _light_end(
     bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
 ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
-    value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
-    pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
-    return _not_tangential(bsdf, si.wi, wo, value, pdf, reverse)
+    value, reverse, pdf = _camera_end(bsdf, exchanged(si, wo), si.wi, active)
+    return value, pdf, reverse
 
 
 def _not_tangential(
