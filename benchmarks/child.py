@@ -74,6 +74,53 @@ def memory(options: dict[str, Any]) -> dict[str, Any]:
     return outcome | {"peaks": peaks}
 
 
+def gathers(options: dict[str, Any]) -> dict[str, Any]:
+    """Seconds of compiling, and CPU seconds of passes in turn, without and with gather instructions. A method, or
+    Mitsuba's ``path``."""
+    import drjit as dr
+    import mitsuba as mi
+    import numpy as np
+
+    from etendue import methods, scene
+    from etendue.core import Replica, use_variant
+    from etendue.core.gathers import use_gathers
+
+    use_variant(options["variant"])
+    problem = scene.load(options["scene"], size=tuple(options["size"]))
+
+    def of_mitsuba(number: int) -> Any:
+        return np.array(mi.render(problem.scene, sensor=problem.sensor, integrator=own, spp=1, seed=number))
+
+    own = mi.load_dict({"type": "path", "max_depth": 10})
+    compiled, tasks = [], []
+    for wanted in (False, True):
+        dr.kernel_history_clear()
+        use_gathers(wanted)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            if options["method"]:
+                method = methods.get(options["method"])
+                estimator = method(method.Settings(**options["settings"]))
+                estimator.prepare(problem, 0)
+                replica = Replica(estimator, 0)
+                tasks.append(lambda number, replica=replica: replica.step(number).mean())
+            else:
+                tasks.append(of_mitsuba)
+            tasks[-1](0)
+            kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+        compiled.append(sum(kernel["backend_time"] for kernel in kernels if not kernel["cache_hit"]) / 1e3)
+    passes: tuple[list[float], list[float]] = ([], [])
+    differ = 0.0
+    for number in range(1, options["rounds"] + 1):
+        pictures = []
+        for wanted in (False, True):
+            use_gathers(wanted)
+            begin = time.process_time()
+            pictures.append(tasks[wanted](number))
+            passes[wanted].append(time.process_time() - begin)
+        differ = max(differ, float(np.abs(pictures[0] - pictures[1]).max() / np.abs(pictures[0]).max()))
+    return {"compiled": compiled, "passes": passes, "differ": differ}
+
+
 def scale(options: dict[str, Any]) -> dict[str, Any]:
     """CPU seconds to load a scene and of passes of a method, or of Mitsuba's ``path``, and peak memory; no kernel is
     cached."""
@@ -154,6 +201,7 @@ if __name__ == "__main__":
     COMMANDS = {
         "first-pass": first_pass,
         "memory": memory,
+        "gathers": gathers,
         "scale": scale,
         "picture": picture,
         "view-factors": view_factors,

@@ -6,6 +6,7 @@ import re
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -13,11 +14,12 @@ import typer
 from etendue import methods, scene
 from etendue.cli.options import parse_pairs
 from etendue.core import Replica
+from etendue.core.gathers import use_gathers
 
 from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
 from .options import Rounds, Size, WarmUp
 
-BARS = {"bpt": 2.2, "vcm": 3.0, "sppm": 3.0}
+BARS = {"bpt": 2.0, "vcm": 2.7, "sppm": 3.0}
 BAR_SIZE = (512, 512)
 _MITSUBA = "Mitsuba path"
 #: Russian roulette as Mitsuba's ``path`` plays it by default, and no other.
@@ -77,13 +79,17 @@ def measure(
     depth = COST_SETTINGS["path"]["max_depth"]
     mitsuba_path = mi.load_dict({"type": "path", "max_depth": depth})
 
-    def mitsuba(number: int) -> None:
+    def mitsuba(number: int, gathers: bool = False) -> None:
+        use_gathers(gathers)
         # Rendering is lazy: without these two lines the clock would stop before the first ray.
         image = mi.render(problem.scene, sensor=problem.sensor, integrator=mitsuba_path, spp=1, seed=number)
         dr.eval(image)
         dr.sync_thread()
+        use_gathers()
 
     tasks: dict[str, Callable[[int], Any]] = {_MITSUBA: mitsuba}
+    if use_gathers():
+        tasks[f"{_MITSUBA}, with gathers"] = partial(mitsuba, gathers=True)
     bars: dict[str, float | None] = {}
     plain: dict[str, str] = {}  # label of a variant -> that of its method without settings
     for variant in variants:
@@ -127,6 +133,7 @@ def measure(
         "ends with its sums added to those of the passes before, on the host in float64",
         "roulette as Mitsuba: " + ", ".join(f"{key}={value:g}" for key, value in ROULETTE.items()),
         "cpu: all threads of the process; of no meaning under CUDA",
+        *(["with gathers: as in a process that imports étendue, which compiles kernels with them"] * use_gathers()),
     ]
     if plain:
         record.notes.append("to the method without: ratio of wall times to the method without those settings")

@@ -55,7 +55,7 @@ def start(
     record = Record(f"From the command to the picture, {shape}, {_SPP} spp", ("scene", "", "cold s", "", "warm s", ""))
     with tempfile.TemporaryDirectory(prefix="start-") as folder:
         for name in scenes:
-            file = _file_of(name, Path(folder))
+            file = file_of(name, folder)
             picture = Path(folder) / "picture.exr"
             commands = {"Mitsuba's path": [sys.executable, "-c", _BY_MITSUBA, file, shape, str(_SPP), str(picture)]}
             for method in names:
@@ -91,11 +91,11 @@ def start(
     return record
 
 
-def _file_of(name: str, folder: Path) -> str:
-    """The file of a public scene, or of a bundled one, whose integrator Mitsuba knows."""
+def file_of(name: str, folder: str) -> str:
+    """The file of a public scene, or of a bundled one, written into ``folder``, whose integrator Mitsuba knows."""
     if name not in bundled():
         return str(PUBLIC_SCENES / name / "scene.xml")
-    file = folder / f"{name}.xml"
+    file = Path(folder) / f"{name}.xml"
     command = [sys.executable, "-m", "etendue", "scenes", name, "-o", str(file)]
     subprocess.run(command, check=True, capture_output=True)
     method = f'type="{bundled()[name].build().get("integrator", {}).get("type", "path")}"'

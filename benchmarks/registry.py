@@ -64,6 +64,7 @@ PROGRAMS = {
                 Benchmark("renders", "renders.measure", 1, "Pictures of one sample by mi.render, prepared and anew."),
                 Benchmark("first-pass", "fresh.first_pass", 1, "The first pass, with and without compiled kernels."),
                 Benchmark("start", "fresh.start", 6, "From the command to the picture, beside Mitsuba's path."),
+                Benchmark("gathers", "gathers.measure", 3, "Gather instructions, on AMD processors before Zen 4."),
                 Benchmark("memory", "fresh.memory", 1, "Peak memory of a fresh process."),
                 Benchmark("scale", "scale.measure", 6, "A thousand lamps or textures, ten million triangles."),
                 Benchmark("media", "media.measure", 25, "Error in fog and water beside Mitsuba's volpath."),

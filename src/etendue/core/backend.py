@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import llvm
 from .errors import BackendError
+from .gathers import use_gathers
 from .log import logger
 
 if TYPE_CHECKING:
@@ -173,11 +174,14 @@ def use_variant(requested: str | None = None, colours: str = "rgb") -> str:
     current: str | None = mi.variant()
     if requested is None and current is not None:
         check_variant(current)
-        return current
-    chosen = choose_variant(requested, colours)
+        chosen = current
+    else:
+        chosen = choose_variant(requested, colours)
     if chosen != current:
         with _transformed_when_called():
             mi.set_variant(chosen)
+    if chosen.startswith("llvm"):
+        use_gathers()
     return chosen
 
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, Self
+from typing import Self
 
-from etendue.core import Iterations, OptionError
+from etendue.core import Iterations
 from etendue.engine import Job, MakeExecutor, Replicated
 
-from .dask import DaskPool
 from .pool import Pool
-from .processes import ProcessPool
 from .recipes import recipe
 from .spread import Spread
 
@@ -47,32 +43,3 @@ class Cluster:
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-@contextmanager
-def opened_cluster(
-    cluster: Any = None, workers: int | None = None, threads: int | None = None
-) -> Iterator[Cluster | None]:
-    """The cluster at an address, that of a ``distributed.Client``, or one of local ``workers``, which end with the
-    block; ``None`` if neither is given.
-
-    Raises :class:`OptionError`, :class:`BackendError` if Dask is not installed, :class:`ClusterError`.
-    """
-    opened = open_cluster(cluster, workers, threads)
-    if opened is None:
-        yield None
-        return
-    with opened:
-        yield opened
-
-
-def open_cluster(cluster: Any = None, workers: int | None = None, threads: int | None = None) -> Cluster | None:
-    """As :func:`opened_cluster`; the caller closes it."""
-    if cluster is None and workers is None:
-        return None
-    if cluster is None:
-        assert workers is not None
-        return Cluster(ProcessPool(workers, None if threads is None else max(1, threads // workers)))
-    if workers is not None:
-        raise OptionError("workers are processes of this machine, a cluster has its own: give one of them")
-    return Cluster(DaskPool(cluster))

@@ -35,7 +35,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, copied_to_device, on_device
+from etendue.core import OptionError, on_device
 
 from .cells import PER_PIXEL, CellAxis, CellGrid, cell_weights
 
@@ -107,6 +107,7 @@ class _Axis:
         cumulative = np.concatenate([[0.0], np.cumsum(np.abs(table.values))]) / BINS_PER_PIXEL
         self.cumulative = on_device(mi.Float, cumulative)
         self.values = on_device(mi.Float, table.values)
+        self.host_values = table.values.astype(np.float32)
         self.inverse_integral = on_device(mi.Float, 1.0 / integral)
         self.camera_weight = on_device(mi.Float, magnitude / integral)
         pixel, middle = np.arange(size), size // 2
@@ -114,7 +115,7 @@ class _Axis:
         #: Pixels with different weights: those near the border, and the middle one for all others; which of them each
         #: pixel is.
         self.by_border, which = np.unique(alike, return_inverse=True)
-        self.border = copied_to_device(mi.UInt32, which.astype(np.uint32))
+        self.border = on_device(mi.UInt32, which)
         weights = cell_weights(table.values, _BINS_PER_CELL)
         self.cell_weights = None if weights is None else on_device(mi.Float, weights)
 
@@ -190,38 +191,45 @@ class _Axis:
 
     def offsets(self, u: mi.Float) -> Spread:
         """Weights of samples at the offsets ``u`` in [0, 1) of their pixels for the surrounding pixels."""
-        last = mi.Int32(dr.floor(u + (self.reach - 0.5)))
-        values = []
-        for index in range(self.candidates):
-            shift = last - (self.candidates - 1 - index)
-            values.append(self._value(u - (mi.Float(shift) + 0.5)))
-        dr.eval(last, values)
-        return Spread(last, values)
+        place = np.array(u, np.float32)  # on the host: they are few
+        last = np.floor(place + (self.reach - 0.5)).astype(np.int32)
+        shift = last[:, None] - np.arange(self.candidates - 1, -1, -1, dtype=np.int32)
+        offset = place[:, None] - (shift.astype(np.float32) + 0.5)
+        bins = np.floor((offset + self.reach) * BINS_PER_PIXEL).astype(np.int32)
+        return Spread(last, self.host_values[np.clip(bins, 0, self.bins - 1)])
 
     def convolve(self, values: V, spread: Spread, place: mi.UInt32, stride: mi.UInt32 | int) -> V:
         """Sums of the weighted samples within the radius along this axis. ``values``: one lane a pixel, which has one
         sample; ``place``: the pixel's coordinate; ``stride``: lanes from one pixel to the next."""
         kind: type[mi.Color3f] = type(values)
         lane = mi.Int32(dr.arange(mi.UInt32, dr.width(values)))
-        size, result = dr.opaque(mi.Int32, self.size), kind(0.0)
-        for index, weight in enumerate(spread.values):
-            shift = spread.last - (self.candidates - 1 - index)
+        last, size, result = on_device(mi.Int32, spread.last), dr.opaque(mi.Int32, self.size), kind(0.0)
+        for index, weight in enumerate(spread.values[0]):
+            shift = last - (self.candidates - 1 - index)
             source = mi.Int32(place) - shift
             on_film = (source >= 0) & (source < size)
-            result = result + dr.gather(kind, values, mi.UInt32(lane - shift * mi.Int32(stride)), on_film) * weight
+            sample = dr.gather(kind, values, mi.UInt32(lane - shift * mi.Int32(stride)), on_film)
+            result = result + sample * on_device(mi.Float, weight)
         return result
 
     def near(
-        self, values: list[V], spread: Spread, sample: mi.UInt32, pixel: mi.UInt32, place: mi.UInt32, count: mi.UInt32
+        self,
+        values: list[V],
+        weights: mi.Float,
+        sample: mi.UInt32,
+        pixel: mi.UInt32,
+        place: mi.UInt32,
+        count: mi.UInt32,
     ) -> list[V]:
         """As :meth:`convolve`, for several layers with ``count`` samples a pixel, of which only number ``sample`` is
-        used."""
+        used; ``weights``: :meth:`Spread.rows`."""
         kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
-        last, size = dr.gather(mi.Int32, spread.last, sample), dr.opaque(mi.Int32, self.size)
+        row, size = sample * (1 + self.candidates), dr.opaque(mi.Int32, self.size)
+        last = mi.Int32(dr.gather(mi.Float, weights, row))
         results: list[V] = [kind(0.0) for kind in kinds]
-        for index, weights in enumerate(spread.values):
+        for index in range(self.candidates):
             shift = last - (self.candidates - 1 - index)
-            source, weight = mi.Int32(place) - shift, dr.gather(mi.Float, weights, sample)
+            source, weight = mi.Int32(place) - shift, dr.gather(mi.Float, weights, row + (1 + index))
             at, on_film = mi.UInt32(mi.Int32(pixel) - shift) * count + sample, (source >= 0) & (source < size)
             results = [
                 result + dr.gather(kind, layer, at, on_film) * weight
@@ -231,30 +239,33 @@ class _Axis:
 
     def table(self, spread: Spread) -> tuple[mi.Float, range]:
         """(weights, a row for each sample and a column for each offset from the sample's own pixel; the offsets)."""
-        last, rows = np.array(spread.last), np.array([np.array(weights) for weights in spread.values]).T
+        last = spread.last
         offsets = range(int(last.min()) - self.candidates + 1, int(last.max()) + 1)
         dense = np.zeros((len(last), len(offsets)), np.float32)
-        for row, end, weights in zip(dense, last - offsets.start + 1, rows, strict=True):
+        for row, end, weights in zip(dense, last - offsets.start + 1, spread.values, strict=True):
             row[end - self.candidates : end] = weights
         return on_device(mi.Float, dense.ravel()), offsets
 
     def reached(self, spread: Spread, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Sum of the filter over the samples on the film within the radius, for each sample number and each of
         ``pixels`` of the axis: (samples, pixels); 1 away from the border."""
-        last = np.array(spread.last)
-        sums = np.zeros((len(last), len(pixels)), np.float32)
-        for index, values in enumerate(spread.values):
-            source = pixels - (last - (self.candidates - 1 - index))[:, None]
-            sums += np.array(values)[:, None] * ((source >= 0) & (source < self.size))
+        sums = np.zeros((len(spread.last), len(pixels)), np.float32)
+        for index, values in enumerate(spread.values.T):
+            source = pixels - (spread.last - (self.candidates - 1 - index))[:, None]
+            sums += values[:, None] * ((source >= 0) & (source < self.size))
         return sums
 
 
 @dataclass
 class Spread:
-    """Weights of the samples of a pixel for its neighbours along one axis, an entry per sample."""
+    """Weights of the samples of a pixel for its neighbours along one axis, a row for each sample."""
 
-    last: mi.Int32  #: offset of the last pixel within the radius of a sample from the sample's own pixel
-    values: list[mi.Float]  #: filter values of the pixels up to the last one
+    last: NDArray[np.int32]  #: offset of the last pixel within the radius of a sample from the sample's own pixel
+    values: NDArray[np.float32]  #: (samples, pixels): the filter at the pixels up to the last one
+
+    def rows(self) -> mi.Float:
+        """On the device, for each sample: the last pixel, then the values."""
+        return on_device(mi.Float, np.column_stack([self.last, self.values]))
 
 
 class PixelFilter:
@@ -299,7 +310,7 @@ class PixelFilter:
     def spread_together(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
         """Filtered sums of several layers over the samples, one lane a pixel. ``values``: one lane a sample, the
         samples of a pixel consecutive; sample j of each pixel has the offset (``u1[j]``, ``u2[j]``). Evaluates
-        ``values``.
+        ``values``, but not the results.
 
         As in Mitsuba, pixels near the border are divided by the filter weights of their samples, so that a constant
         picture stays constant; the expectation there depends on the number of samples."""
@@ -315,11 +326,8 @@ class PixelFilter:
         if samples == 1:  # a third of the memory
             rows = [self._x.convolve(layer, across, x, 1) for layer in values]
             dr.eval(rows)
-            results = [self._y.convolve(row, down, y, width) * inverse for row in rows]
-        else:
-            results = [layer * inverse for layer in self._by_neighbour(values, across, down, x, y)]
-        dr.eval(results)
-        return results
+            return [self._y.convolve(row, down, y, width) * inverse for row in rows]
+        return [layer * inverse for layer in self._by_neighbour(values, across, down, x, y)]
 
     def _inverse_reached(self, across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> mi.Float:
         """1 over the mean filter weight of the samples that reach each pixel; 1 away from the border."""
@@ -327,7 +335,7 @@ class PixelFilter:
         # BLAS, whose threads would compete with the threads of Dr.Jit and take longer than everything else.
         columns, rows = self._x.by_border, self._y.by_border
         reached = np.einsum("si,sj->ij", self._y.reached(down, rows), self._x.reached(across, columns))
-        inverse = copied_to_device(mi.Float, (np.float32(dr.width(across.last)) / reached).ravel())
+        inverse = on_device(mi.Float, np.float32(len(across.last)) / reached)
         place = dr.gather(mi.UInt32, self._y.border, y) * dr.opaque(mi.UInt32, len(columns))
         place += dr.gather(mi.UInt32, self._x.border, x)
         return dr.gather(mi.Float, inverse, place)
@@ -336,11 +344,12 @@ class PixelFilter:
         """Sums over several samples a pixel, of all layers in one kernel: the samples of a pixel are first added along
         rows, with one sum for each row that they reach."""
         kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
-        count, width, height = (dr.opaque(mi.UInt32, n) for n in (dr.width(across.last), self.width, self.height))
+        count, width, height = (dr.opaque(mi.UInt32, n) for n in (len(across.last), self.width, self.height))
         pixel, (table, offsets) = dr.arange(mi.UInt32, self.width * self.height), self._y.table(down)
+        weights_across = across.rows()
 
         def add(sample: mi.UInt32, sums: list[list[V]]) -> tuple[mi.UInt32, list[list[V]]]:
-            rows = self._x.near(values, across, sample, pixel, x, count)
+            rows = self._x.near(values, weights_across, sample, pixel, x, count)
             weights = [dr.gather(mi.Float, table, sample * len(offsets) + place) for place in range(len(offsets))]
             return sample + 1, [
                 [total + row * weight for total, weight in zip(each, weights, strict=True)]

@@ -525,8 +525,10 @@ class ImageMethod(Method):
             places = self._film_numbers(number, samples or count, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
             values = self.camera.filter.spread_together(values, *places)
+        raveled = [dr.ravel(layer) for layer in values]
+        dr.eval(raveled)
         # Copies, because the device reuses the memory of the raveled arrays.
-        arrays = [np.array(dr.ravel(layer), np.float32).reshape(height, width, -1) for layer in values]
+        arrays = [np.array(layer, np.float32).reshape(height, width, -1) for layer in raveled]
         return dict(zip(layers, arrays, strict=True))
 
     def first_hits(self, lanes: mi.UInt32, iteration: int) -> FirstHits | None:

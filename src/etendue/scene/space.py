@@ -135,6 +135,7 @@ def _share(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
 def _seen(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
     """Medians of ray offset over distance and of the distance, over the surfaces that a sensor sees; 0 and the smallest
     distance if it sees none."""
+    import drjit as dr
     import mitsuba as mi
 
     if plugin_name(sensor) not in SENSORS:
@@ -142,12 +143,15 @@ def _seen(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
     place = (np.arange(_RAYS, dtype=np.float32) + 0.5) / _RAYS
     u, v = (a.ravel() for a in np.meshgrid(place, place))
     ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
-    distance = np.array(scene.ray_intersect_preliminary(ray).t, dtype=float)
+    t = scene.ray_intersect_preliminary(ray).t
+    dr.eval(t, ray.o, ray.d)  # in one kernel
+    distance = np.array(t, dtype=float)
     hit = np.isfinite(distance) & (distance > 0)
     if not hit.any():
         return 0.0, _LEAST_DISTANCE
     distance = distance[hit]
-    point = np.broadcast_to(ray.o, (3, len(u)))[:, hit] + distance * np.broadcast_to(ray.d, (3, len(u)))[:, hit]
+    origin, along = (np.stack([np.broadcast_to(x, hit.shape)[hit] for x in part]) for part in (ray.o, ray.d))
+    point = origin + distance * along
     offset = float(mi.math.RayEpsilon) * (1 + np.abs(point).max(axis=0))
     return float(np.median(offset / distance)), float(np.median(distance))
 

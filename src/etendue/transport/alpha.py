@@ -45,6 +45,7 @@ def coverage(
         places = _place(first + dr.arange(mi.UInt32, _PART))
         dr.eval(passes, places)
         covered += camera.filter.spread(1.0 - passes, places.x, places.y)
+        dr.eval(covered)
     return np.array(dr.clip(covered / _RAYS, 0.0, 1.0), np.float32).reshape(shape)
 
 
