@@ -1,0 +1,46 @@
+"""Kernels have gather instructions on AMD processors before Zen 4, and are compiled as LLVM would elsewhere."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import pytest
+
+from etendue.core import gathers, use_variant
+
+ZEN_3 = "+sse4.2,+avx2,-avx512f,+fma"
+
+
+@pytest.mark.parametrize(
+    ("processor", "features", "wanted"),
+    [
+        ("znver3", ZEN_3, True),
+        ("znver2", ZEN_3, True),
+        ("znver4", "+avx2,+avx512f", False),  # LLVM uses its gathers anyway
+        ("znver1", "-avx2", False),
+        ("haswell", "+avx2,-avx512f", False),
+        ("", "", False),  # no LLVM
+    ],
+)
+def test_processors_with_use_for_gathers(processor, features, wanted):
+    chosen = gathers.with_gathers(processor, features)
+    assert chosen == (f"{features},+fast-gather" if wanted else features)
+    assert gathers.with_gathers(processor, chosen) == chosen
+
+
+def test_kernels_are_compiled_with_them():
+    functions = gathers._functions()
+    if functions is None or not (mi.variant() or "").startswith("llvm"):
+        pytest.skip("Dr.Jit's functions are not found here, or kernels are not compiled by LLVM")
+    processor, features, width, _ = functions
+    before = width()
+    try:
+        assert gathers.use_gathers(False) is False
+        plain = features().decode()
+        assert "fast-gather" not in plain
+        use_variant()
+        chosen = gathers.with_gathers(processor().decode(), plain)
+        assert features().decode() == chosen
+        assert gathers.use_gathers() is (chosen != plain)
+        assert width() == before
+    finally:
+        gathers.use_gathers()
