@@ -10,6 +10,7 @@ import json
 import resource
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 _START = time.perf_counter()
@@ -92,7 +93,7 @@ def gathers(options: dict[str, Any]) -> dict[str, Any]:
         return np.array(mi.render(problem.scene, sensor=problem.sensor, integrator=own, spp=1, seed=number))
 
     own = mi.load_dict({"type": "path", "max_depth": 10})
-    compiled, tasks = [], []
+    compiled, tasks = [], list[Callable[[int], Any]]()
     for wanted in (False, True):
         dr.kernel_history_clear()
         use_gathers(wanted)

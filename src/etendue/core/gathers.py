@@ -24,9 +24,9 @@ def with_gathers(processor: str, features: str) -> str:
 
 
 def use_gathers(wanted: bool = True) -> bool:
-    """Have Dr.Jit compile kernels of this process with gather instructions where :func:`with_gathers` wants them, or as
-    LLVM would by itself. Returns whether kernels are now compiled otherwise than by itself. To be called under an LLVM
-    variant."""
+    """Have Dr.Jit compile the kernels of this process with gather instructions where :func:`with_gathers` wants them,
+    or, not ``wanted``, as LLVM would by itself. Returns whether they are now compiled otherwise than that. To be called
+    under an LLVM variant."""
     functions = _functions()
     if functions is None:
         return False

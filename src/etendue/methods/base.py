@@ -6,7 +6,7 @@ import functools
 import math
 import operator
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -525,8 +525,10 @@ class ImageMethod(Method):
             places = self._film_numbers(number, samples or count, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
             values = self.camera.filter.spread_together(values, *places)
-        raveled = [dr.ravel(layer) for layer in values]
-        dr.eval(raveled)
+        raveled: Iterable[Any] = map(dr.ravel, values)  # one by one, to save memory
+        if not (self.camera.independent or self.camera.filter.is_box):
+            raveled = list(raveled)
+            dr.eval(raveled)  # the last step of the filter, of all layers in one kernel
         # Copies, because the device reuses the memory of the raveled arrays.
         arrays = [np.array(layer, np.float32).reshape(height, width, -1) for layer in raveled]
         return dict(zip(layers, arrays, strict=True))
