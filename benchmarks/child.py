@@ -84,7 +84,7 @@ def gathers(options: dict[str, Any]) -> dict[str, Any]:
 
     from etendue import methods, scene
     from etendue.core import Replica, use_variant
-    from etendue.core.gathers import use_gathers
+    from etendue.core.kernels import use_gathers
 
     use_variant(options["variant"])
     problem = scene.load(options["scene"], size=tuple(options["size"]))

@@ -14,7 +14,7 @@ import typer
 from etendue import methods, scene
 from etendue.cli.options import parse_pairs
 from etendue.core import Replica
-from etendue.core.gathers import use_gathers
+from etendue.core.kernels import use_gathers
 
 from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
 from .options import Rounds, Size, WarmUp

@@ -1,4 +1,4 @@
-"""Gather instructions in the kernels (:mod:`etendue.core.gathers`): what they save on this processor."""
+"""Gather instructions in the kernels (:mod:`etendue.core.kernels`): what they save on this processor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import tempfile
 import mitsuba as mi
 
 from etendue.core import OptionError
-from etendue.core.gathers import use_gathers
+from etendue.core.kernels import use_gathers
 
 from .fresh import file_of
 from .measuring import COST_SETTINGS, Record, child, spread

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import llvm
 from .errors import BackendError
-from .gathers import use_gathers
+from .kernels import tune_kernels
 from .log import logger
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def use_variant(requested: str | None = None, colours: str = "rgb") -> str:
         with _transformed_when_called():
             mi.set_variant(chosen)
     if chosen.startswith("llvm"):
-        use_gathers()
+        tune_kernels()
     return chosen
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import pytest
 
-from etendue.core import gathers, use_variant
+from etendue.core import kernels, use_variant
 
 ZEN_3 = "+sse4.2,+avx2,-avx512f,+fma"
 
@@ -22,25 +22,24 @@ ZEN_3 = "+sse4.2,+avx2,-avx512f,+fma"
     ],
 )
 def test_processors_with_use_for_gathers(processor, features, wanted):
-    chosen = gathers.with_gathers(processor, features)
+    chosen = kernels.with_gathers(processor, features)
     assert chosen == (f"{features},+fast-gather" if wanted else features)
-    assert gathers.with_gathers(processor, chosen) == chosen
+    assert kernels.with_gathers(processor, chosen) == chosen
 
 
 def test_kernels_are_compiled_with_them():
-    functions = gathers._functions()
-    if functions is None or not (mi.variant() or "").startswith("llvm"):
+    core = kernels._core()
+    if core is None or not (mi.variant() or "").startswith("llvm"):
         pytest.skip("Dr.Jit's functions are not found here, or kernels are not compiled by LLVM")
-    processor, features, width, _ = functions
-    before = width()
+    before = core.width()
     try:
-        assert gathers.use_gathers(False) is False
-        plain = features().decode()
+        assert kernels.use_gathers(False) is False
+        plain = core.features().decode()
         assert "fast-gather" not in plain
         use_variant()
-        chosen = gathers.with_gathers(processor().decode(), plain)
-        assert features().decode() == chosen
-        assert gathers.use_gathers() is (chosen != plain)
-        assert width() == before
+        chosen = kernels.with_gathers(core.processor().decode(), plain)
+        assert core.features().decode() == chosen
+        assert kernels.use_gathers() is (chosen != plain)
+        assert core.width() == before
     finally:
-        gathers.use_gathers()
+        kernels.use_gathers()

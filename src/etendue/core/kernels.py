@@ -1,0 +1,83 @@
+"""How Dr.Jit compiles and launches the kernels of this process on a CPU: two settings to which Python has no access.
+
+Gather instructions on AMD processors before Zen 4: LLVM takes them for slower than single loads, and makes eight
+branches of each masked gather. Kernels of light transport are full of gathers: with the instruction, they are compiled
+in .7 of the time on Zen 3, and run in .8 to .9 of it (``python -m benchmarks gathers``). With AVX-512 LLVM uses gathers
+anyway; what it knows of processors of other makers is left as it is.
+
+Blocks of lanes that a thread takes at a time: Dr.Jit's have 16,384 lanes, or are two for each thread if that is less.
+Neighbouring pixels cost alike, so that threads then wait for the one with the dearest part of the picture.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+_FAST = "+fast-gather"
+#: Lanes of a block; Dr.Jit's own number.
+BLOCK, PLAIN_BLOCK = 1024, 16384
+
+
+def tune_kernels() -> None:
+    """Apply both settings. To be called under an LLVM variant."""
+    use_gathers()
+    use_blocks()
+
+
+def with_gathers(processor: str, features: str) -> str:
+    """LLVM's list of features of a processor, with fast gathers if that processor has use for them."""
+    own = features.split(",")
+    wanted = processor.startswith("znver") and "+avx2" in own and "+avx512f" not in own and _FAST not in own
+    return f"{features},{_FAST}" if wanted else features
+
+
+def use_gathers(wanted: bool = True) -> bool:
+    """Compile with gather instructions where :func:`with_gathers` wants them, or, not ``wanted``, as LLVM would by
+    itself. Returns whether kernels are now compiled otherwise than that."""
+    core = _core()
+    if core is None:
+        return False
+    name, own = ((text or b"").decode() for text in (core.processor(), core.features()))  # none without an LLVM variant
+    plain = own.removesuffix(f",{_FAST}")
+    chosen = with_gathers(name, plain) if wanted else plain
+    if chosen != own:
+        core.set_target(name.encode(), chosen.encode(), core.width())
+    return chosen != plain
+
+
+def use_blocks(lanes: int = BLOCK) -> None:
+    """Launch kernels in blocks of so many lanes, a power of two."""
+    core = _core()
+    if core is not None:
+        core.set_block(lanes)
+
+
+class _Core:
+    """Functions of Dr.Jit's core, in C++, by their names on Linux and macOS. Raises :class:`AttributeError` if one has
+    another name here."""
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        text, number = ctypes.c_char_p, ctypes.c_uint
+
+        def function(name: str, result: Any, *arguments: Any) -> Any:
+            return ctypes.CFUNCTYPE(result, *arguments)((name, library))
+
+        self.processor = function("_Z19jit_llvm_target_cpuv", text)
+        self.features = function("_Z24jit_llvm_target_featuresv", text)
+        self.width = function("_Z21jit_llvm_vector_widthv", number)
+        self.set_target = function("_Z19jit_llvm_set_targetPKcS0_j", None, text, text, number)
+        self.set_block = function("_Z23jit_llvm_set_block_sizej", None, number)
+
+
+@cache
+def _core() -> _Core | None:
+    """None where the functions are not found."""
+    import drjit as dr
+
+    try:
+        return _Core(ctypes.CDLL(str(next(Path(str(dr.__file__)).parent.glob("libdrjit-core.*")))))
+    except (OSError, AttributeError, StopIteration):
+        return None
