@@ -104,6 +104,9 @@ def test_rays_are_drawn_over_the_picture_and_follow_it(tmp_path):
             await tab.until(f"{note}.startsWith('100 paths of path. Edges:')")
             await tab.value("press('Paths', 'Clear')")
             await tab.until(f"{lines} === 0")
+            await tab.value("press('Paths', 'Trace'), press('Paths', 'Clear')")
+            await asyncio.sleep(3.0)
+            assert await tab.value(lines) == 0  # the answer came after they were cleared
             assert not tab.errors
 
     with etendue.view("cornell-box", "vcm", size=(48, 36), spp=64, folder=tmp_path) as viewer:

@@ -15,6 +15,7 @@ export default function (host) {
   let view = null; // the open 3-D view
   let state = null;
   const held = { mesh: null, photons: null, trees: null, solution: null, values: null };
+  const cleared = new Set(); // of these, answers that come late are not shown
 
   // ---- controls
 
@@ -62,14 +63,20 @@ export default function (host) {
     row(open), row(surfaces.element), make('label', { class: 'check' }, backs, make('span', {}, 'Hide backs, to look into rooms')),
     paths.section,
     details('Photons', row(photons.element, file.element), make('label', {}, make('span', {}, 'Size of points'), dots),
-      row(button('Trace', () => host.send('photons', { count: numeric(photons.input.value), file: file.input.value })), button('Clear', () => clear('photons'))), photonsNote),
+      row(button('Trace', () => ask('photons', 'photons', { count: numeric(photons.input.value), file: file.input.value })), button('Clear', () => clear('photons'))), photonsNote),
     details('Trees and grids', row(tree.element, radius.element), make('label', {}, make('span', {}, 'Level'), level),
       make('label', { class: 'check' }, levels, make('span', {}, 'All levels up to this one')),
-      row(button('Show', () => host.send('tree', { kind: tree.input.value, count: numeric(photons.input.value), radius: radius.input.value.trim() === '' ? 0 : numeric(radius.input.value) })), button('Clear', () => clear('trees'))), treesNote),
+      row(button('Show', () => ask('trees', 'tree', { kind: tree.input.value, count: numeric(photons.input.value), radius: radius.input.value.trim() === '' ? 0 : numeric(radius.input.value) })), button('Clear', () => clear('trees'))), treesNote),
     details('Radiosity', row(area.element, solved.element), row(run, quantity.element), row(button('Clear', () => { if (state?.panels.space.solving) host.send('stop'); held.values = null; solveNote.textContent = patch.textContent = ''; clear('solution'); })), solveNote, patch),
     details("Guide's directions", guideNote, guidePicture));
 
+  function ask(name, verb, fields) {
+    cleared.delete(name);
+    host.send(verb, fields);
+  }
+
   function clear(name) {
+    if (name !== 'solution') cleared.add(name); // those of radiosity end when it is stopped
     held[name] = null;
     redraw();
   }
@@ -107,7 +114,7 @@ export default function (host) {
     else if (note.textContent.endsWith(' …')) note.textContent = ''; // no answer has replaced it
     note.ariaBusy = String(Boolean(text));
   });
-  const take = (name, then) => host.on(name, (message, data) => { held[name] = { ...message, ...unpacked(message.arrays, data) }; then(held[name]); redraw(); });
+  const take = (name, then) => host.on(name, (message, data) => { if (cleared.has(name)) return; held[name] = { ...message, ...unpacked(message.arrays, data) }; then(held[name]); redraw(); });
   take('mesh', (mesh) => { if (mesh.left_out) host.say(`${mesh.left_out} of the smallest triangles are not drawn`); if (mesh.missing.length) host.say(`Not drawn: ${mesh.missing.join(', ')}`); });
   host.on('paths', (message, data) => { paths.take({ ...message, ...unpacked(message.arrays, data) }); redraw(); });
   take('photons', (found) => { photonsNote.textContent = `${found.value.length} photons, ${short(found.total)} W in all.`; });

@@ -25,6 +25,7 @@ const OF_METHOD = ['camera', 'of the method, at the place clicked'];
 export function rays(host, changed) {
   const { make, numeric } = host;
   let found = null; // the answer that is shown
+  let asked = false; // not after they were cleared: an answer that comes late is not shown
   let place = [0.5, 0.5];
   let names = '';
   let state = null;
@@ -57,17 +58,22 @@ export function rays(host, changed) {
 
   function trace() {
     const isFollowing = follow.input.checked && section.open && source.value === OF_METHOD[0];
+    asked = true;
     host.send('paths', { source: source.value, x: place[0], y: place[1], count: numeric(count.value), follow: isFollowing });
   }
 
   function clear(stay = false) {
     found = null;
     host.overlay.replaceChildren();
-    if (stay) host.send('stay');
+    if (stay) {
+      asked = false;
+      host.send('stay');
+    }
     changed();
   }
 
   function take(answer) {
+    if (!asked) return;
     found = answer;
     const goesOn = (k) => k > 0 && found.kind[k - 1] === found.kind[k] && found.path[k - 1] === found.path[k];
     found.guided = found.kind.map((_, k) => goesOn(k) && found.event[k - 1] === BY_GUIDE);
