@@ -2,8 +2,8 @@
 
 Gather instructions on AMD processors before Zen 4: LLVM takes them for slower than single loads, and makes eight
 branches of each masked gather. Kernels of light transport are full of gathers: with the instruction, they are compiled
-in .7 of the time on Zen 3, and run in .8 to .9 of it (``python -m benchmarks gathers``). With AVX-512 LLVM uses gathers
-anyway; what it knows of processors of other makers is left as it is.
+in .6 to .8 of the time on Zen 3, and run in .8 to .9 of it (``python -m benchmarks gathers``). With AVX-512 LLVM uses
+gathers anyway; what it knows of processors of other makers is left as it is.
 
 Blocks of lanes that a thread takes at a time: Dr.Jit's have 16,384 lanes, or are two for each thread if that is less.
 Neighbouring pixels cost alike, so that threads then wait for the one with the dearest part of the picture.
