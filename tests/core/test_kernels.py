@@ -1,4 +1,5 @@
-"""Kernels have gather instructions on AMD processors before Zen 4, and are compiled as LLVM would elsewhere."""
+"""Kernels have gather instructions on AMD processors before Zen 4, are compiled as LLVM would elsewhere, and are
+launched in small blocks."""
 
 from __future__ import annotations
 
@@ -27,10 +28,21 @@ def test_processors_with_use_for_gathers(processor, features, wanted):
     assert kernels.with_gathers(processor, chosen) == chosen
 
 
-def test_kernels_are_compiled_with_them():
-    core = kernels._core()
-    if core is None or not (mi.variant() or "").startswith("llvm"):
+@pytest.fixture
+def core():
+    found = kernels._core()
+    if found is None or not (mi.variant() or "").startswith("llvm"):
         pytest.skip("Dr.Jit's functions are not found here, or kernels are not compiled by LLVM")
+    return found
+
+
+def test_kernels_are_launched_in_small_blocks(core):
+    core.set_block(16384)
+    use_variant()
+    assert core.block() == 1024
+
+
+def test_kernels_are_compiled_with_them(core):
     before = core.width()
     try:
         assert kernels.use_gathers(False) is False

@@ -17,14 +17,15 @@ from pathlib import Path
 from typing import Any
 
 _FAST = "+fast-gather"
-#: Lanes of a block; Dr.Jit's own number.
-BLOCK, PLAIN_BLOCK = 1024, 16384
+_BLOCK = 1024
 
 
 def tune_kernels() -> None:
     """Apply both settings. To be called under an LLVM variant."""
     use_gathers()
-    use_blocks()
+    core = _core()
+    if core is not None:
+        core.set_block(_BLOCK)
 
 
 def with_gathers(processor: str, features: str) -> str:
@@ -48,13 +49,6 @@ def use_gathers(wanted: bool = True) -> bool:
     return chosen != plain
 
 
-def use_blocks(lanes: int = BLOCK) -> None:
-    """Launch kernels in blocks of so many lanes, a power of two."""
-    core = _core()
-    if core is not None:
-        core.set_block(lanes)
-
-
 class _Core:
     """Functions of Dr.Jit's core, in C++, by their names on Linux and macOS. Raises :class:`AttributeError` if one has
     another name here."""
@@ -69,6 +63,7 @@ class _Core:
         self.features = function("_Z24jit_llvm_target_featuresv", text)
         self.width = function("_Z21jit_llvm_vector_widthv", number)
         self.set_target = function("_Z19jit_llvm_set_targetPKcS0_j", None, text, text, number)
+        self.block = function("_Z19jit_llvm_block_sizev", number)
         self.set_block = function("_Z23jit_llvm_set_block_sizej", None, number)
 
 
