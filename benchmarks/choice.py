@@ -1,17 +1,16 @@
-"""Whether ``auto`` chooses well: its error after a given time beside that of each candidate rendered by itself, the
-samples that its learning leaves, and a few seconds without kernels beside ``path``. Each picture has its own process,
-as on the command line: in one process, scenes that were rendered before make kernels anew."""
+"""Whether ``auto`` chooses well: its error after a given time beside that of each candidate rendered by itself, and the
+samples that its learning leaves. Each picture has its own process, as on the command line: in one process, scenes that
+were rendered before make kernels anew."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
-import typer
 
 from etendue import film, render
 from etendue.core import RELATIVE_EPSILON
@@ -26,8 +25,6 @@ from .options import Names, Pixels, Seconds, Seeds
 BAR = 1.2
 #: It must have this share of the samples that its choice makes in the same time.
 SAMPLES_BAR = 0.7
-#: Cold, it may need this many times the error of ``path``.
-COLD_BAR = 1.3
 #: Seconds of the pictures that fill the kernel cache.
 _FILL = 0.1
 #: Share of the brightest errors that is left out: one firefly must not decide.
@@ -56,37 +53,29 @@ def measure(
     pixels: Pixels = 65536,
     seconds: Seconds = 30.0,
     seeds: Seeds = 1,
-    cold: Annotated[
-        float, typer.Option(min=0.0, help="Seconds in fresh processes with an empty kernel cache; 0: left out.")
-    ] = 5.0,
-) -> list[Record]:
+) -> Record:
     """One row a scene, by default each that is none of the theses'; the candidates and ``auto`` take turns, seed by
-    seed. With ``cold`` seconds above 0 a second table, of ``path`` and ``auto`` in fresh processes with an empty kernel
-    cache."""
-    known = sources()
+    seed."""
     record = Record(
         f"Choice of auto, about {pixels} pixels, {seconds:g} s",
         ("", *FIXED, "auto", "chosen", "auto / best", "bar", "samples / its choice", "bar"),
     )
-    first = Record(f"auto in {cold:g} s, cold, about {pixels} pixels", ("", "path", "auto", "chosen", "ratio", "bar"))
     worst = 0.0
-    for name in names or [name for name in known if name not in _ONLY_BY_NAME]:
-        if name not in known:
-            raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
-        size = scaled_size(known[name], pixels)
-        halves = _halves(name, known[name], size, _HALF * seconds)
+    for name, source in chosen_sources(names).items():
+        size = scaled_size(source, pixels)
+        halves = halves_of(name, source, size, _HALF * seconds)
         errors: dict[str, list[float]] = {choice: [] for choice in (*FIXED, "learn")}
         chosen, shares = [], []
         with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
-            common = {"variant": mi.variant(), "scene": str(known[name]), "size": size, "method": "auto"}
+            common = {"variant": mi.variant(), "scene": str(source), "size": size, "method": "auto"}
             for choice in FIXED:  # fills the kernel cache
-                _picture(common | {"choice": choice, "seconds": _FILL, "seed": 0}, folder)
+                picture(common | {"choice": choice, "seconds": _FILL, "seed": 0}, folder)
             for seed in range(seeds):
                 samples: dict[str, float] = {}
                 for choice, values in errors.items():
                     options = common | {"choice": choice, "seconds": seconds, "seed": seed}
-                    image, outcome = _picture(options, folder)
-                    values.append(_error(image, halves))
+                    image, outcome = picture(options, folder)
+                    values.append(error(image, halves))
                     samples[choice] = outcome["samples"]
                 chosen.append(str(outcome["chosen"]))
                 shares.append(samples["learn"] / samples[chosen[-1]])
@@ -102,44 +91,47 @@ def measure(
         enough = f"≥ {SAMPLES_BAR:g}: {'reached' if share >= SAMPLES_BAR else 'missed'}"
         names_of = ", ".join(dict.fromkeys(chosen))
         record.add(name, *cells, names_of, f"{ratio:.2f}", verdict(ratio, BAR), f"{share:.2f}", enough)
-        if cold > 0:
-            first.add(name, *_cold(known[name], size, halves, cold, seeds))
-    pictures = f"median of {seeds} seed{'s' if seeds > 1 else ''}"
     record.notes += [
-        f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
-        f"the reference; {pictures}; a process each, with a kernel cache that a pass by each candidate has filled; "
-        "the time of auto holds the passes that learn",
-        f"reference: vcm with a first radius of 0.002 (path for {', '.join(_BY_PATH)}), {2 * _HALF * seconds:g} s in "
-        "two halves, whose difference tells its error",
+        f"{error_note(seeds)}; a process each, with a kernel cache that a pass by each candidate has filled; the time "
+        "of auto holds the passes that learn",
+        reference_note(_HALF * seconds),
         f"worst ratio {worst:.2f}",
     ]
-    first.notes.append(f"errors as above; {pictures}; each with an empty kernel cache")
-    return [record, first] if cold > 0 else [record]
+    return record
 
 
-def _halves(name: str, source: Any, size: tuple[int, int], seconds: float) -> list[np.ndarray]:
+def chosen_sources(names: Sequence[str]) -> dict[str, Any]:
+    """The scenes of the given names, by default each that is none of the theses'."""
+    known = sources()
+    for name in names:
+        if name not in known:
+            raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
+    return {name: known[name] for name in names or [name for name in known if name not in _ONLY_BY_NAME]}
+
+
+def error_note(seeds: int) -> str:
+    """What :func:`error` is."""
+    return (
+        f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
+        f"the reference; median of {seeds} seed{'s' if seeds > 1 else ''}"
+    )
+
+
+def reference_note(seconds: float) -> str:
+    """What :func:`halves_of` so many seconds are."""
+    return (
+        f"reference: vcm with a first radius of 0.002 (path for {', '.join(_BY_PATH)}), {2 * seconds:g} s in two "
+        "halves, whose difference tells its error"
+    )
+
+
+def halves_of(name: str, source: Any, size: tuple[int, int], seconds: float) -> list[np.ndarray]:
     """The reference in two halves of so many seconds."""
     method, settings = ("path", {}) if name in _BY_PATH else ("vcm", {"radius": 0.002})
     return [render(source, method, seconds=seconds, size=size, seed=1000 + half, **settings).image for half in range(2)]
 
 
-def _cold(source: Any, size: tuple[int, int], halves: Sequence[np.ndarray], seconds: float, seeds: int) -> list[str]:
-    """Cells of the second table."""
-    errors: dict[str, list[float]] = {"path": [], "auto": []}
-    chosen = []
-    for seed in range(seeds):
-        for method, values in errors.items():
-            with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
-                options = {"variant": mi.variant(), "scene": str(source), "size": size, "method": method}
-                image, outcome = _picture(options | {"seconds": seconds, "seed": seed}, folder)
-                values.append(_error(image, halves))
-                chosen += [outcome["chosen"]] if method == "auto" else []
-    path, auto = (float(np.median(values)) for values in errors.values())
-    ratio = auto / path
-    return [f"{path:.3g}", f"{auto:.3g}", ", ".join(dict.fromkeys(chosen)), f"{ratio:.2f}", verdict(ratio, COLD_BAR)]
-
-
-def _picture(options: dict[str, Any], folder: str) -> tuple[np.ndarray, dict[str, Any]]:
+def picture(options: dict[str, Any], folder: str) -> tuple[np.ndarray, dict[str, Any]]:
     """A picture by a fresh process with the kernel cache in ``folder``, and what is told of it."""
     out = Path(folder) / "picture.npy"
     outcome = child("picture", options | {"out": str(out)}, {"DRJIT_CACHE_DIR": folder})
@@ -159,7 +151,7 @@ def scaled_size(source: Any, pixels: int, larger: bool = False) -> tuple[int, in
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def _error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
+def error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
     """Error against the mean of the halves, less that of the mean itself, which is a quarter of their difference's."""
     mean = (halves[0] + halves[1]) / 2
     own = film.relative_mse(halves[0], mean, trim=_TRIM)  # of half of the difference

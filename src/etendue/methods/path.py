@@ -127,11 +127,21 @@ def path_pass(
 ) -> tuple[dict[str, Layer], dict[str, float]]:
     """``render_pass`` of a method by camera paths; ``trace``: as :meth:`Path.trace`."""
     lanes = dr.arange(mi.UInt32, method.camera.pixels * samples)
+    dr.eval(lanes)  # so that any of them shares the kernel
+    radiance, rays, bad = light_of_paths(method, lanes, iteration, seed, samples, trace)
+    counters = {"rays": total(rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+    return method.images(radiance, seed, iteration), counters
+
+
+def light_of_paths(
+    method: ImageMethod, lanes: mi.UInt32, iteration: int, seed: int, samples: int, trace: Trace
+) -> tuple[dict[str, mi.Color3f], mi.UInt32, mi.Bool]:
+    """(layers of the light of the camera paths ``lanes`` of a pass, their rays, mask of those that were not finite),
+    evaluated in one kernel; arguments as of :func:`path_pass`."""
     path = camera_paths(method, lanes, iteration, seed, samples, trace)
     radiance, bad = method.kept_layers(path)
-    dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
-    counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-    return method.images(radiance, seed, iteration), counters
+    dr.eval(radiance, path.rays, bad)
+    return radiance, path.rays, bad
 
 
 def camera_paths(

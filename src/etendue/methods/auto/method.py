@@ -12,11 +12,8 @@ All passes are part of the picture, with equal weights: each is an estimate of t
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
 Nothing is learned in a run that is too short for it, in seconds or in samples. Light of a sun through windows
-(:mod:`..openings`) is then rendered by ``bpt``, with mirrors or glass by ``vcm``. Other scenes, below :data:`_LEAST`
-seconds: by ``bpt`` with mirrors or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm``
-if light paths cannot be connected to the sensor), by ``path`` without. Up to :data:`_PER_KIND` seconds more for each
-kind of material, which all make kernels larger: by ``vcm`` with mirrors or glass and lights other than an environment,
-by ``path`` without.
+(:mod:`..openings`), caustics of lights that no ray can hit, and scenes where a few paths from the camera are noisy
+(:mod:`.noise`), are then rendered by ``vcm`` if there are mirrors or glass, by ``bpt`` if not, all others by ``path``.
 """
 
 from __future__ import annotations
@@ -35,7 +32,7 @@ import numpy as np
 from etendue.core import Carrying, CheckpointError, Measurement, Result, SampleSource, State, logger, setting
 from etendue.film import COMPONENTS
 from etendue.scene import LightTable, Problem, materials, one_way, refuse_one_way
-from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
+from etendue.transport import MANY, CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
 from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
@@ -43,6 +40,7 @@ from ..bidirectional import BidirectionalSettings, Vcm
 from ..openings import OpeningSettings, through_openings
 from ..path import Path, Trace, camera_paths, path_pass, traced
 from .efficiency import LEARNING, PHOTON, Learned, PassWork, tile_pixels
+from .noise import noise_of_paths
 from .widening import Trial
 
 #: Counts of the passes that estimate moments.
@@ -65,9 +63,13 @@ FIXED: dict[str, Candidate] = {
     "bpt with 6 connections": Candidate(0.5, 6, False),
     "vcm": Candidate(0.5, 1, True),
 }
-#: Seconds of a run below which light paths are traced only for caustics that ``path`` never finds, and seconds more for
-#: each kind of material below which nothing is learned: kernels may have to be compiled.
+#: Seconds of a run below which nothing is learned, and seconds more for each kind of material, which all make kernels
+#: larger, and may have to be compiled.
 _LEAST, _PER_KIND = 6.0, 1.5
+#: The same of a run below which no light paths are traced if ``path`` finds all light, too.
+_HASTY, _HASTY_PER_KIND = 1.0, 0.6
+#: Noise of path tracing above which light paths pay.
+_NOISY = 5.0
 #: Camera paths of a run up to which it counts as one of no time: its kernels would take longer than its passes.
 _PREVIEW = 1 << 20
 #: Share of a run's cost for passes that learn, after the first ones.
@@ -442,16 +444,24 @@ class Auto(Carrying, ImageMethod):
 
     def _without_learning(self, seconds: float | None) -> Candidate | None:
         """Counts for a run that is too short to learn."""
-        kinds = {m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)}
-        if seconds is None or seconds >= _LEAST + _PER_KIND * len(kinds):
+        kinds = len({m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)})
+        if seconds is None or seconds >= _LEAST + _PER_KIND * kinds or self._choice in FIXED:
             return None
+        is_specular = self._has_specular()
+        counts = FIXED["vcm" if is_specular or not self.camera.can_splat else "bpt"]
         if self.lights.has_sun and self._through_openings().lines is not None:
-            return FIXED["vcm" if self._has_specular() else "bpt"]
-        if seconds >= _LEAST:
-            return FIXED["vcm" if self._caustics else "path"]
-        if not (self._has_specular() and self.lights.has_delta):
-            return FIXED["path"]
-        return FIXED["bpt" if self.camera.can_splat else "vcm"]
+            return counts
+        if is_specular and self.lights.has_delta:
+            return counts  # for caustics that paths from the camera never find
+        if seconds < _HASTY + _HASTY_PER_KIND * kinds or self.lights.count >= MANY or not self.lights.has_area:
+            return _NONE  # many lamps: the noise is that of the choice of one, which light paths have as well
+        return counts if is_specular or self._noise() > _NOISY else _NONE
+
+    def _noise(self) -> float:
+        """The noise of passes of path tracing."""
+        noise = noise_of_paths(self, self._tracing(), self._seed)
+        logger.debug("auto: a camera path has the relative variance %.3g", noise)
+        return noise
 
     def _has_specular(self) -> bool:
         bsdfs = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
