@@ -39,8 +39,8 @@ _ONLY_BY_NAME = {name for name, *_ in theses.SCENES}
 
 
 def sources() -> dict[str, Any]:
-    """Every test scene by name: the bundled ones and the public ones that are at hand."""
-    found: dict[str, Any] = {name: name for name in bundled()}
+    """Every test scene in RGB by name: the bundled ones and the public ones that are at hand."""
+    found: dict[str, Any] = {name: name for name, one in bundled().items() if not one.is_spectral}
     for name in PUBLIC:
         path = PUBLIC_SCENES / name / "scene.xml"
         if path.is_file():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mitsuba as mi
 import numpy as np
 import pytest
+from scipy import stats
 from support import scenes
 from support.running import go, prepared, replicas, run
 from support.statistics import assert_agree
@@ -14,6 +16,7 @@ from support.tables import thinned
 from etendue import scene
 from etendue.core import RELATIVE_EPSILON, CheckpointError
 from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, PassWork, describe, method as auto
+from etendue.methods.auto.noise import noise_of_paths
 from etendue.methods.bidirectional import BidirectionalSettings
 from etendue.transport import TILE, Candidate
 
@@ -293,20 +296,53 @@ def test_the_choice_goes_with_the_checkpoint():
 @pytest.mark.parametrize(
     ("lamp", "material", "seconds", "choice"),
     [
-        ("point", ("dielectric",), 5.0, "bpt"),
+        ("point", ("dielectric",), 1.0, "vcm"),
         ("point", scenes.FEW, 5.0, "path"),
-        ("rectangle", ("dielectric",), 5.0, "path"),
-        ("rectangle", ("dielectric",), 7.0, "vcm"),
+        ("rectangle", ("dielectric",), 1.0, "path"),
+        ("rectangle", ("dielectric",), 5.0, "vcm"),
         ("constant", ("dielectric",), 7.0, "path"),
     ],
 )
 def test_a_short_run_learns_nothing(lamp, material, seconds, choice):
-    """A point light and glass: path tracing sees no caustic, however long it runs."""
+    """Of a point light and glass path tracing sees no caustic, however long it runs; that of an area light is rare."""
     method = prepared(scenes.room(lamp, material), "auto", samples_per_pass=1)
     method.plan(seconds, None, None)
     method.step(0, 1)
     assert describe(Candidate(*method.state()["counts"])) == choice
     assert method.state()["learned"]["passes"] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "choice"), [("cornell-box", 5.0, "path"), ("ajar", 5.0, "bpt"), ("ajar", 2.0, "path")]
+)
+def test_a_short_run_traces_light_paths_where_camera_paths_are_noisy(name, seconds, choice):
+    """A lamp in the next room, after a time in which their kernels can be compiled."""
+    method = prepared(scene.load(name, size=(64, 48)), "auto").method
+    method.plan(seconds, None, None)
+    assert describe(method._brief) == choice
+
+
+@pytest.mark.parametrize("spp", [1, 4])
+def test_noise_of_camera_paths_is_that_of_their_pictures(spp):
+    """Pairs of pictures of one path per pixel, in the same groups of 64 pixels. The unit of light does not matter."""
+    problem = scenes.room("rectangle", scenes.FEW)
+    pictures = prepared(problem, "auto", samples_per_pass=1, reconstruction="independent")
+    pictures.method.plan(0.5, None, None)
+    light = go(pictures, 200).images.mean(axis=3).reshape(100, 2, -1, 64)
+    variance, level = np.square(light[:, 0] - light[:, 1]).mean(axis=2) / 2.0, light.mean(axis=(1, 3))
+    least = RELATIVE_EPSILON * level.mean(axis=1, keepdims=True) ** 2
+    expected = (variance / (level**2 + least)).mean(axis=1)
+    found = []
+    for factor in (1.0, 1000.0):
+        parameters = mi.traverse(problem.scene)
+        (key,) = [key for key in parameters.keys() if key.endswith("radiance.value")]
+        parameters[key] = parameters[key] * factor
+        parameters.update()
+        measured = prepared(problem, "auto", samples_per_pass=spp, reconstruction="independent").method
+        found.append([noise_of_paths(measured, measured._tracing(), seed) for seed in range(40)])
+    np.testing.assert_allclose(*found, rtol=1e-3)
+    z = (np.mean(found[0]) - expected.mean()) / np.hypot(stats.sem(found[0]), stats.sem(expected))
+    assert abs(z) < 4.0
 
 
 @pytest.mark.parametrize(
