@@ -335,7 +335,7 @@ def test_noise_of_camera_paths_is_that_of_their_pictures(spp):
     found = []
     for factor in (1.0, 1000.0):
         parameters = mi.traverse(problem.scene)
-        (key,) = [key for key in parameters.keys() if key.endswith("radiance.value")]
+        (key,) = [key for key, _ in parameters if key.endswith("radiance.value")]
         parameters[key] = parameters[key] * factor
         parameters.update()
         measured = prepared(problem, "auto", samples_per_pass=spp, reconstruction="independent").method
