@@ -120,7 +120,7 @@ def cells_image(mi, pixel_filter, width, height, samples):
     value = radiance(x.numpy().astype(np.float64), y.numpy().astype(np.float64))
     image, shifts = np.zeros((height, width)), lattice(64, 2, seed=8).T
     for u1, u2 in shifts:
-        grid = pixel_filter.cells(mi.Float(u1), mi.Float(u2))
+        grid = pixel_filter.cells(u1, u2)
         image += in_cells(mi, grid, x, y, value[:, None])[:, 0].reshape(height, width)
     return image * (width * height / (samples * len(shifts)))
 
@@ -151,7 +151,7 @@ def test_splats_in_cells_have_the_weights_of_the_filter_on_average(mi, name):
     line, pixel = np.repeat(np.arange(32), size), np.tile(np.arange(size), 32)
     mean = np.zeros(32 * size)
     for shift in range(bins):
-        axis = CellAxis(mi.Float(weights), bins, mi.Float(1.0 / integral), mi.Float((shift + 0.5) / bins))
+        axis = CellAxis(weights, bins, mi.Float(1.0 / integral), (shift + 0.5) / bins)
         packets = np.zeros((32, axis.count, 4), np.float32)
         packets[np.arange(32), axis.cell(mi.Float(position)).numpy(), 1] = 1.0
         first = mi.UInt32(line * axis.count)
@@ -166,9 +166,8 @@ def test_cells_of_a_sharp_filter_would_be_noisier_than_what_they_save(mi):
     """A tent's weights grow by an eighth an axis, and it reaches four pixels only."""
     from etendue.film import PixelFilter
 
-    half = mi.Float(0.5)
-    assert PixelFilter(make_filter(mi, "tent"), 4, 4).cells(half, half) is None
-    assert PixelFilter(make_filter(mi, "box"), 4, 4).cells(half, half) is None
+    assert PixelFilter(make_filter(mi, "tent"), 4, 4).cells(0.5, 0.5) is None
+    assert PixelFilter(make_filter(mi, "box"), 4, 4).cells(0.5, 0.5) is None
 
 
 @pytest.mark.parametrize(
@@ -410,7 +409,7 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
             # A shift for every 1024 splats, as passes have.
             image = np.zeros((width * height, 3))
             for part in np.split(np.arange(n), spp // 64):
-                grid = sampler.cells(*(mi.Float(u) for u in rng.random(2)))
+                grid = sampler.cells(*rng.random(2))
                 image += in_cells(mi, grid, mi.Float(x.numpy()[part]), mi.Float(y.numpy()[part]), value[part])[:, :3]
             cells.append(image.reshape(height, width, 3) / spp)
         u1, u2 = rng.random((2, spp)).astype(np.float32)

@@ -39,7 +39,7 @@ def test_it_is_the_same_picture(row):
 
 def noise(method: str, openings: bool) -> float:
     """Mean relative variance of the pixels of a pass."""
-    images = run(scenes.hut("sunsky"), method, passes=16, samples=32, openings=openings).images
+    images = run(scenes.hut("directional"), method, passes=16, samples=32, openings=openings).images
     mean = images.mean(axis=0)
     return float((images.var(axis=0, ddof=1) / (mean**2 + 1e-3 * mean.mean() ** 2)).mean())
 
@@ -51,10 +51,21 @@ def test_it_has_less_noise(method, most):
 
 @pytest.mark.parametrize("method", thinned([name for name in METHODS if name != "auto"], ("light", "sppm")))
 def test_every_method_says_what_it_has_found(method):
-    made = prepared(scenes.hut("constant"), method)
+    made = prepared(scenes.hut("directional", "constant"), method)
     assert made.notes["openings"] > 3.0
     assert made.lights.lines is not None
-    assert prepared(scenes.hut("constant"), method, openings=False).lights.lines is None
+    assert prepared(scenes.hut("directional", "constant"), method, openings=False).lights.lines is None
+
+
+@pytest.mark.parametrize(
+    ("method", "found"), thinned([("bpt", False), ("auto", False), ("sppm", True)], [("bpt", False)])
+)
+def test_light_of_an_even_sky_is_left_to_next_event(method, found):
+    """If the method has it, and sees some of the sky."""
+    made = prepared(scenes.hut("constant"), method)
+    if method == "auto":
+        assert made.method._through_openings() is made.lights
+    assert (made.lights.lines is not None) == found
 
 
 def test_a_small_window():
@@ -89,7 +100,7 @@ def test_a_short_run_of_auto_merges_behind_panes():
 
 @pytest.mark.slow
 def test_a_run_of_auto_that_learns_finds_them():
-    made = prepared(scenes.hut("constant"), "auto")
+    made = prepared(scenes.hut("directional", "constant"), "auto")
     made.step(0, 1)
     assert made.notes["openings"] > 3.0
 
@@ -113,9 +124,9 @@ def test_paths_of_the_camera_alone_do_not_look_for_them():
 def test_a_run_can_be_continued(tmp_path):
     """What was found is found again."""
     file = tmp_path / "hut.checkpoint"
-    whole = etendue.render(scenes.hut("constant").scene, "bpt", spp=4, samples_per_pass=1)
-    etendue.render(scenes.hut("constant").scene, "bpt", spp=2, samples_per_pass=1, checkpoint=file)
-    rest = etendue.resume(file, scene=scenes.hut("constant").scene, spp=4)
+    whole = etendue.render(scenes.hut("directional", "constant").scene, "bpt", spp=4, samples_per_pass=1)
+    etendue.render(scenes.hut("directional", "constant").scene, "bpt", spp=2, samples_per_pass=1, checkpoint=file)
+    rest = etendue.resume(file, scene=scenes.hut("directional", "constant").scene, spp=4)
     assert rest.metadata["openings"] == whole.metadata["openings"]
     np.testing.assert_allclose(rest.image, whole.image, rtol=1e-5, atol=1e-6)
 

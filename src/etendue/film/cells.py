@@ -36,16 +36,15 @@ def cell_weights(values: NDArray[np.float64], bins: int) -> NDArray[np.float64] 
 
 
 class CellAxis:
-    """The cells along an axis of the film. ``weights``: :func:`cell_weights` on the device; ``inverse_integral``:
-    1 / Z of each pixel; ``u``: the shift, in [0, 1) cells."""
+    """The cells along an axis of the film. ``weights``: :func:`cell_weights`; ``inverse_integral``: 1 / Z of each
+    pixel; ``u``: the shift, in [0, 1) cells."""
 
-    def __init__(self, weights: mi.Float, bins: int, inverse_integral: mi.Float, u: mi.Float) -> None:
+    def __init__(self, weights: NDArray[np.float64], bins: int, inverse_integral: mi.Float, u: float) -> None:
         size = dr.width(inverse_integral)
         self.count = PER_PIXEL * size + 1  # the first begins before the film, the last ends after it
-        shift = dr.minimum(mi.UInt32(u * bins), bins - 1)
-        self._shift = mi.Float(shift) / bins
-        self._weights = [dr.gather(mi.Float, weights, shift + start) for start in range(0, dr.width(weights), bins)]
-        dr.make_opaque(self._shift, self._weights)
+        shift = min(int(u * bins), bins - 1)
+        self._shift = dr.opaque(mi.Float, shift / bins)
+        self._weights = [dr.opaque(mi.Float, float(weight)) for weight in weights[shift::bins]]
         self._inverse_integral = inverse_integral
 
     def cell(self, position: mi.Float) -> mi.UInt32:

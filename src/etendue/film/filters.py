@@ -116,11 +116,11 @@ class _Axis:
         #: pixel is.
         self.by_border, which = np.unique(alike, return_inverse=True)
         self.border = on_device(mi.UInt32, which)
-        weights = cell_weights(table.values, _BINS_PER_CELL)
-        self.cell_weights = None if weights is None else on_device(mi.Float, weights)
+        self.cell_weights = cell_weights(table.values, _BINS_PER_CELL)
 
-    def cells(self, u: mi.Float) -> CellAxis:
+    def cells(self, u: float) -> CellAxis:
         """The cells of splats along this axis, shifted by ``u``."""
+        assert self.cell_weights is not None
         return CellAxis(self.cell_weights, _BINS_PER_CELL, self.inverse_integral, u)
 
     def camera(self, pixel: mi.UInt32, u: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -382,7 +382,7 @@ class PixelFilter:
             for column, weight, valid in columns
         ]
 
-    def cells(self, u1: mi.Float, u2: mi.Float) -> CellGrid | None:
+    def cells(self, u1: float, u2: float) -> CellGrid | None:
         """The cells to which the splats of a pass may be added in place of :meth:`taps`, shifted by two numbers in
         [0, 1); ``None`` if they save nothing or add too much variance."""
         if self.is_box or self.has_gaps or self._x.cell_weights is None:

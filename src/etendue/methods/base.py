@@ -31,11 +31,12 @@ from etendue.core import (
     UnsupportedError,
     free_memory,
     logger,
+    seed_key,
     setting,
     uses_cuda,
 )
 from etendue.film import ALPHA, BANDS, COMPONENTS, variance_of
-from etendue.points import OwenSobolSource
+from etendue.points import OwenSobolSource, Weyl
 from etendue.scene import (
     LEAST_WHITE,
     Bands,
@@ -74,7 +75,7 @@ from .layers import (
     total as total,
     with_image as with_image,
 )
-from .numbers import Lanes as Lanes, SharedFilm, camera_numbers, light_numbers as light_numbers, places
+from .numbers import Lanes as Lanes, SharedFilm, camera_numbers, light_numbers as light_numbers
 
 W = TypeVar("W", bound=Walker)
 
@@ -469,10 +470,10 @@ class ImageMethod(Method):
 
     def splats(self, seed: int, iteration: int, images: int = 1, role: str = "", in_cells: bool = True) -> Splats:
         """Images for the splats of a pass."""
-        index, high = places(mi.UInt32(0), iteration)  # well spread over the passes
-        shift = OwenSobolSource(mi.UInt32(0), index, seed, role + "splats", high).next_2d(0, dim.FILM)
+        start = np.array(seed_key(seed, role + "splats", 0)) / 2.0**32
+        across, down = (start + Weyl(2).value(iteration % (1 << 32))) % 1.0  # well spread over the passes
         in_cells = in_cells and _CELL_BYTES * self.camera.pixels * images <= self._most_cell_bytes
-        return Splats(self.camera, images, shift if in_cells else None)
+        return Splats(self.camera, images, (across, down) if in_cells else None)
 
     def path_fields(self) -> dict[str, Any]:
         """Additional fields of the state of a camera path, for ``CameraPath.start``."""

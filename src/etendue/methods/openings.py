@@ -16,8 +16,9 @@ from .base import ImageMethod
 
 #: Camera paths of a pilot, pilots at most, and lines after which there are no more; camera rays that look around.
 _PATHS, _PILOTS, _ENOUGH, _RAYS = 1 << 16, 16, 1 << 11, 1 << 12
-#: Share of the sky that is seen from the surfaces in the picture above which nothing is learned.
-_OPEN = 0.25
+#: Share of the sky that is seen from the surfaces in the picture above which nothing is learned; that for a sky without
+#: a sun if its light is also sampled at the camera's side: light paths are then worth less than they cost.
+_OPEN, _EVEN = 0.25, 0.003
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,11 @@ class OpeningSettings(Settings):
         "and emit most of its light paths there",
     )
 
+    @property
+    def samples_sky(self) -> bool:
+        """Whether next event estimation samples the sky, too."""
+        return False
+
 
 def through_openings(method: ImageMethod, seed: int) -> LightTable:
     """The lights of a prepared method with :class:`OpeningSettings`. Rays of infinite ones have the places of the lines
@@ -37,8 +43,10 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     these lines much likelier."""
     method.notes.pop("openings", None)  # of the scene before
     lights = method.lights
-    wanted = isinstance(method.settings, OpeningSettings) and method.settings.openings
-    if not (wanted and lights.has_infinite) or lights.is_black or look_around(method, seed).sky > _OPEN:
+    o = method.settings
+    if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
+        return lights
+    if look_around(method, seed).sky > (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
         return lights
     found = _lines(method, seed).fitted(lights)
     if found is None:

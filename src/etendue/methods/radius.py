@@ -215,7 +215,7 @@ def _sight(method: ImageMethod) -> tuple[float, np.ndarray | None, tuple[mi.Poin
     ray, _, aperture = camera.primary(dr.minimum(pixel, camera.pixels - 1), source)
     bsdfs = [one for one in materials(method.scene) if isinstance(one, mi.BSDF)]
     through = any(not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) for bsdf in bsdfs)
-    position, reached = first_smooth(method.walker(Walker), ray, through)
+    position, reached = first_smooth(method.visibility, ray, through)
     if not camera.can_splat:  # parallel rays
         dr.eval(position, reached)
         return float(np.array(camera.footprint(ray.o, aperture)).ravel()[0]), None, (position, reached)

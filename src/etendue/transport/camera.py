@@ -53,7 +53,7 @@ class Splats:
     to pass; ``None``: splats are added to pixels, as in the technique pyramid.
     """
 
-    def __init__(self, camera: CameraSampler, images: int = 1, shift: tuple[mi.Float, mi.Float] | None = None) -> None:
+    def __init__(self, camera: CameraSampler, images: int = 1, shift: tuple[float, float] | None = None) -> None:
         self._camera = camera
         grid = None if shift is None or camera.independent else camera.filter.cells(*shift)
         # The limit is that of 32-bit indices of floats.

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
 
+from .scattering import is_smooth
+from .visibility import Visibility
 from .walk import SubPath, Walker
 
 #: Longest path, in edges, to the first surface that is not specular.
@@ -58,13 +60,6 @@ class _Collision(SubPath):
         )
 
 
-@dataclass(kw_only=True)
-class _Sight(_Collision):
-    """State of a camera path up to the first surface that is not specular."""
-
-    sees_media: ClassVar[bool] = False
-
-
 def first_collisions(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tuple[mi.Point3f, mi.Bool]:
     """(points at which camera paths first collide with a medium, mask of the paths that do so before they are scattered
     by anything but mirrors and glass)."""
@@ -84,24 +79,26 @@ def first_collisions(walker: Walker, ray: mi.Ray3f, source: SampleSource) -> tup
     return path.position, path.reached
 
 
-def first_smooth(walker: Walker, ray: mi.Ray3f, through: bool) -> tuple[mi.Point3f, mi.Bool]:
+def first_smooth(visibility: Visibility, ray: mi.Ray3f, through: bool) -> tuple[mi.Point3f, mi.Bool]:
     """(positions of the first surfaces with a smooth component that camera rays reach, directly, in mirrors or straight
-    through glass; mask of the rays that reach one). BSDFs are not sampled, which keeps the kernel small. ``through``:
-    whether the scene has mirrors or glass."""
-    path = _Sight.start(ray)
+    through glass; mask of the rays that reach one). Less is computed than by a walk, which keeps the kernel small.
+    ``through``: whether the scene has mirrors or glass."""
+    if not through:
+        hit = visibility.scene.ray_intersect_preliminary(ray)
+        return dr.select(hit.is_valid(), ray(hit.t), 0.0), hit.is_valid()
 
-    def edge(s: _Sight) -> _Sight:
-        vertex = walker.arrive(s)
-        here = s.active & vertex.valid & vertex.smooth
-        s.position = dr.select(here, vertex.position, s.position)
-        s.reached |= here
-        s.active &= vertex.valid & ~here & (s.depth < _MOST_EDGES)
-        if through:
-            passes = mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Transmission)
-            mirrored = vertex.si.to_world(mi.reflect(vertex.si.wi))
-            s.ray = vertex.ray(dr.select(passes, vertex.incoming, mirrored))
-        s.depth += 1
-        return s
+    def edge(
+        active: mi.Bool, ray: mi.Ray3f, depth: mi.UInt32, position: mi.Point3f, reached: mi.Bool
+    ) -> tuple[mi.Bool, mi.Ray3f, mi.UInt32, mi.Point3f, mi.Bool]:
+        hit = visibility.scene.ray_intersect_preliminary(ray, active=active)
+        si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame, active)
+        material = visibility.material(si, ray)
+        here = active & si.is_valid() & is_smooth(material)
+        active &= si.is_valid() & ~here & (depth < _MOST_EDGES)
+        passes = mi.has_flag(material.flags(), mi.BSDFFlags.Transmission)
+        onwards = si.spawn_ray(dr.select(passes, ray.d, si.to_world(mi.reflect(si.wi))))
+        return active, onwards, depth + 1, dr.select(here, si.p, position), reached | here
 
-    path = walker.walk(path, edge, "sight") if through else edge(path)
-    return path.position, path.reached
+    state = mi.Bool(True), mi.Ray3f(ray), mi.UInt32(1), mi.Point3f(0.0), mi.Bool(False)
+    _, _, _, position, reached = dr.while_loop(state, lambda active, *_: active, edge, label="sight")
+    return position, reached

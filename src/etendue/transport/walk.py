@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -41,8 +41,6 @@ from .visibility import Sight, Visibility, is_lamp, past_lamps
 @dataclass(kw_only=True)
 class SubPath:
     """State of the loop over the edges of a sub-path, one lane each. Methods add fields of their own."""
-
-    sees_media: ClassVar[bool] = True  #: whether the walk collides with media, and is attenuated by them
 
     active: mi.Bool
     ray: mi.Ray3f  #: the next edge
@@ -187,7 +185,7 @@ class Walker:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop. Paths without a
         flight start in the medium of the sensor."""
         media = self.visibility.media
-        if media is not None and path.flight is None and path.sees_media:
+        if media is not None and path.flight is None:
             path.flight = Flight.begin(media, media.of_sensor)
         return loop_traced_once(path, lambda s: s.active, edge, label)
 

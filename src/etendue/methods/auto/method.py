@@ -115,6 +115,11 @@ class AutoSettings(OpeningSettings, CameraSettings):
         maximum=1.0,
     )
 
+    @property
+    def samples_sky(self) -> bool:
+        """See :class:`OpeningSettings`."""
+        return True
+
 
 class Auto(Carrying, ImageMethod):
     """Vertex connection and merging with sample counts that are chosen while it renders."""

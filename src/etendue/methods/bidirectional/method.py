@@ -201,7 +201,7 @@ class Bidirectional(Carrying, ImageMethod):
         self._searched = self._searched_in = None
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
-        mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
+        mean = float(sum(np.mean([np.asarray(channel, np.float64) for channel in value]) for value in own))
         if splats:
             images = splats.sums()
             splatted = images[: len(images) - len(self._more_radii)]

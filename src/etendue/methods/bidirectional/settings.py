@@ -110,6 +110,11 @@ class BidirectionalSettings(OpeningSettings, CameraSettings):
         if radii.factors(self.radii) and not self.merging:
             raise OptionError(f"option 'radii={self.radii}' needs merging, which is off; leave it out")
 
+    @property
+    def samples_sky(self) -> bool:
+        """See :class:`OpeningSettings`."""
+        return self.connecting and self.next_events > 0
+
     def all_direct(self, lights: int) -> bool:
         """Whether all techniques find direct light in a scene with this number of lights."""
         return self.direct_light == "all" or (self.direct_light == "auto" and lights >= MANY)
