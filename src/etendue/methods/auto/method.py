@@ -12,8 +12,8 @@ All passes are part of the picture, with equal weights: each is an estimate of t
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
 Nothing is learned in a run that is too short for it, in seconds or in samples. Light of a sun through windows
-(:mod:`..openings`), caustics of lights that no ray can hit, and scenes where a few paths from the camera are noisy
-(:mod:`.noise`), are then rendered by ``vcm`` if there are mirrors or glass, by ``bpt`` if not, all others by ``path``.
+(:mod:`..openings`), caustics of lamps, and scenes where a few paths from the camera are noisy (:mod:`.noise`), are
+then rendered by ``vcm`` if there are mirrors or glass, by ``bpt`` if not, all others by ``path``.
 """
 
 from __future__ import annotations
