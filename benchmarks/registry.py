@@ -76,6 +76,7 @@ PROGRAMS = {
                 Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates."),
                 Benchmark("brief", "brief.measure", 20, "Error of auto in a few seconds, cold, beside other methods."),
+                Benchmark("smallvcm", "smallvcm.measure", 30, "auto beside SmallVCM, on its scenes.", in_all=False),
                 Benchmark("tuning", "tuning.measure", 300, "Error of auto beside other methods.", in_all=False),
                 Benchmark("tuning-choice", "tuning.choices", 10, "What auto chooses, beside others.", in_all=False),
                 Benchmark("auto-costs", "auto_costs.measure", 8, "The cost model of auto, fitted.", in_all=False),
