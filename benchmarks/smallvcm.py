@@ -29,7 +29,7 @@ from .tuning import WARM_PASSES
 
 #: Error of ``auto`` over that of the best algorithm of SmallVCM, at most.
 BAR = 0.2
-#: The algorithms of SmallVCM, by the name of its option; it has more, which find no caustics at all.
+#: The algorithms of SmallVCM, by the name of its option; the others are a preview, and light tracing alone.
 ALGORITHMS = ("pt", "bpt", "bpm", "ppm", "vcm")
 #: Its scenes, in the order of their numbers: the light, and the ball or balls.
 SCENES = (("sun", "balls"), ("ceiling", "mirror"), ("point", "balls"), ("sky", "balls"))
@@ -37,6 +37,9 @@ SCENES = (("sun", "balls"), ("ceiling", "mirror"), ("point", "balls"), ("sky", "
 _SIZE, _DEPTH = (512, 512), 10
 #: Each half of the reference takes this many times the time of a picture.
 _HALF = 3.0
+#: The camera.
+_EYE, _FORWARD = (-0.0439815, -4.12529, 0.222539), (0.00688625, 0.998505, -0.0542161)
+_UP = (3.73896e-4, 0.0542148, 0.998529)
 #: Sides of the room: x, y, z.
 _X, _Y, _Z = (-1.27029, 1.28975), (-1.25549, 1.30455), (-1.28002, 1.28002)
 
@@ -45,8 +48,8 @@ Program = Annotated[
 ]
 
 
-def measure(program: Program = None, seconds: Seconds = 60.0, seeds: Seeds = 1) -> Record:
-    """A row a scene: errors after the same CPU time of all threads."""
+def measure(program: Program = None, seconds: Seconds = 30.0, seeds: Seeds = 1) -> Record:
+    """A row a scene: errors after the same CPU time of all threads together."""
     found = shutil.which(program or "smallvcm") or (program and os.path.abspath(program))
     if not found or not Path(found).is_file():
         raise OptionError(
@@ -99,11 +102,11 @@ def room(light: str, content: str) -> dict[str, Any]:
         "specular_reflectance": rgb(0.7, 0.7, 0.7),
         "exponent": 90.0,
     }
-    eye, forward, up = (np.array(one) for one in (_EYE, _FORWARD, _UP))
+    target = tuple(np.add(_EYE, _FORWARD))
     parts = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": _DEPTH},
-        "sensor": camera(tuple(eye), tuple(eye + forward), 45.0, _SIZE, "box", tuple(up)),
+        "sensor": camera(_EYE, target, 45.0, _SIZE, "box", _UP),
         "floor": rectangle([x0, y0, z0], [wide, 0, 0], [0, deep, 0], floor),
         "ceiling": rectangle([x0, y0, z1], [0, deep, 0], [wide, 0, 0], white),
         "back": rectangle([x0, y1, z0], [wide, 0, 0], [0, 0, high], blue),
@@ -112,10 +115,10 @@ def room(light: str, content: str) -> dict[str, Any]:
     }
     middle = (x0 + x1) / 2, (y0 + y1) / 2
     if content == "mirror":
-        parts["ball"] = _ball((*middle, z0 + 0.8), 0.8, _polished())
+        parts["ball"] = _ball((*middle, z0 + 0.8), 0.8, mirror(1.0, 1.0, 1.0))
     else:
         aside, centre = 2.0 * wide / 7.0, z0 + 0.5
-        parts["mirror"] = _ball((x0 + aside, middle[1], centre), 0.5, _polished())
+        parts["mirror"] = _ball((x0 + aside, middle[1], centre), 0.5, mirror(1.0, 1.0, 1.0))
         parts["glass"] = _ball((x1 - aside, middle[1], centre), 0.5, glass(1.6))
     if light != "point":  # a flat box below the ceiling
         low, half, lip = 1.26002, 0.25, z1 - 1.26002
@@ -131,15 +134,6 @@ def room(light: str, content: str) -> dict[str, Any]:
         "sky": {"type": "constant", "radiance": rgb(135 / 255, 206 / 255, 250 / 255)},
     }
     return parts | ({"light": lights[light]} if light in lights else {})
-
-
-_EYE = (-0.0439815, -4.12529, 0.222539)
-_FORWARD = (0.00688625, 0.998505, -0.0542161)
-_UP = (3.73896e-4, 0.0542148, 0.998529)
-
-
-def _polished() -> dict[str, Any]:
-    return mirror(1.0, 1.0, 1.0)
 
 
 def _ball(centre: tuple[float, ...], radius: float, bsdf: dict[str, Any]) -> dict[str, Any]:

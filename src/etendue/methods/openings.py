@@ -1,4 +1,5 @@
-"""Light of skies and suns through openings, found before the first pass by a pilot of camera paths."""
+"""Where light paths of skies and suns start: at openings, found by a pilot of camera paths, and at mirrors and glass on
+which a sun shines, before the first pass."""
 
 from __future__ import annotations
 
@@ -6,11 +7,12 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from etendue.core import IndependentSource, Settings, logger, setting
+from etendue.core import IndependentSource, Settings, copied_to_device, logger, setting
 from etendue.density import LEAST_LINES
-from etendue.scene import LightTable, brightness
-from etendue.transport import DirectWeights, Lines, OpeningWalk, Surroundings, surroundings
+from etendue.scene import LightTable, brightness, graph
+from etendue.transport import DirectWeights, Lines, OpeningWalk, Surroundings, dimensions as dim, emit, surroundings
 
 from .base import ImageMethod
 
@@ -19,6 +21,8 @@ _PATHS, _PILOTS, _ENOUGH, _RAYS = 1 << 16, 16, 1 << 11, 1 << 12
 #: Share of the sky that is seen from the surfaces in the picture above which nothing is learned; that for a sky without
 #: a sun if its light is also sampled at the camera's side: light paths are then worth less than they cost.
 _OPEN, _EVEN = 0.25, 0.003
+#: Share of the light of infinite lights that reaches mirrors and glass above which no light paths are aimed at them.
+_CASTERS = 0.2
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,8 @@ class OpeningSettings(Settings):
 
     openings: bool = setting(
         True,
-        "where walls hide most of the sky, find by camera paths through which windows light of skies and suns enters, "
-        "and emit most of its light paths there",
+        "emit most light paths of skies and suns where they are useful: through windows, found by camera paths, where "
+        "walls hide most of the sky, and of suns at mirrors and glass",
     )
 
     @property
@@ -39,18 +43,19 @@ class OpeningSettings(Settings):
 
 def through_openings(method: ImageMethod, seed: int) -> LightTable:
     """The lights of a prepared method with :class:`OpeningSettings`. Rays of infinite ones have the places of the lines
-    along which camera paths have found them, if the surfaces in the picture see little of the sky, and if that makes
-    these lines much likelier."""
+    along which camera paths have found them, if the surfaces in the picture see little of the sky, and of those of suns
+    that meet mirrors and glass; both if that makes these lines much likelier."""
     method.notes.pop("openings", None)  # of the scene before
     lights = method.lights
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
-    if look_around(method, seed).sky > (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
-        return lights
-    found = _lines(method, seed).fitted(lights)
+    lines = [_to_casters(method, seed)] if lights.has_sun else []
+    if look_around(method, seed).sky <= (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
+        lines.append(_lines(method, seed))
+    found = Lines.alike([one for one in lines if one is not None and len(one)]).fitted(lights)
     if found is None:
-        logger.debug("openings: none")
+        logger.debug("openings: none, and no mirrors or glass in the sun")
         return lights
     lights, gain = found
     logger.info("openings: the lines along which camera paths see the sky are sampled %.0f times as often", gain)
@@ -76,7 +81,46 @@ def _pilot(method: ImageMethod, seed: int, number: int) -> Lines:
     ray, importance = _camera_rays(method, source, _PATHS)
     path = method.walker(OpeningWalk, weights=DirectWeights()).trace(ray, source)
     path.total *= brightness(importance)
-    return Lines.of(path)
+    return Lines.of(path.origin, path.direction, path.total)
+
+
+def _to_casters(method: ImageMethod, seed: int) -> Lines | None:
+    """Lines of infinite lights to the mirrors and glass that they shine on, whose caustics are noise if few light paths
+    meet them; None if many do anyway."""
+    boxes = [shape.bbox() for shape in graph.shapes(method.scene) if _focuses(shape.bsdf())]
+    if not boxes:
+        return None
+    corners = np.array([[np.ravel(box.min), np.ravel(box.max)] for box in boxes], np.float32)
+    radius = 0.5 * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    balls = copied_to_device(mi.Float, np.column_stack([corners.mean(axis=1), radius]))
+
+    # Rays of the lights through the balls around the shapes, each of which gets equally many.
+    source = IndependentSource(dr.arange(mi.UInt32, _PATHS), seed, "casters", 0)
+    emitted = emit(method.lights, source, mi.Bool(True))
+    d, active = emitted.ray.d, emitted.active & emitted.is_infinite
+    count = dr.opaque(mi.UInt32, len(boxes))
+    pick = dr.minimum(mi.UInt32(source.next_1d(0, dim.APERTURE) * mi.Float(count)), count - 1)
+    ball = dr.gather(mi.Vector4f, balls, pick, active)
+    disc = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(*source.next_2d(0, dim.FILM))) * ball.w
+    place = mi.Point3f(ball.xyz) + mi.Frame3f(d).to_world(mi.Vector3f(disc.x, disc.y, 0.0))
+    ray = mi.Ray3f(place - d * (2.0 * dr.opaque(mi.Float, method.lights.radius)), d)
+    si = method.scene.ray_intersect(ray, active)
+    found = active & si.is_valid() & _focusing(si.bsdf(ray).flags())
+    flux = dr.select(active, brightness(emitted.throughput), 0.0)
+    lines = Lines.of(si.p, -d, dr.select(found, flux * dr.square(ball.w), 0.0))
+    even = float(np.array(flux, np.float64).sum()) * method.lights.radius**2
+    return lines if len(boxes) * lines.value.sum() < _CASTERS * even else None
+
+
+def _focuses(bsdf: mi.BSDF | None) -> bool:
+    """Whether a material only mirrors and refracts, see :func:`_focusing`."""
+    return bsdf is not None and bool(_focusing(mi.UInt32(bsdf.flags()))[0])
+
+
+def _focusing(flags: mi.UInt32) -> mi.Bool:
+    """Whether flags are those of a material that only mirrors and refracts, smooth or rough, and is no thin pane."""
+    wanted, other = mi.BSDFFlags.Delta | mi.BSDFFlags.Glossy, mi.BSDFFlags.Diffuse | mi.BSDFFlags.Null
+    return ((flags & mi.UInt32(int(wanted))) != 0) & ((flags & mi.UInt32(int(other))) == 0)
 
 
 def look_around(method: ImageMethod, seed: int) -> Surroundings:

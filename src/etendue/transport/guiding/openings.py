@@ -1,13 +1,17 @@
 r"""Openings: where the light of skies and suns enters a scene.
 
 Of the rays that a sky sends to the sphere around a building, hardly any enters a window. Camera paths find those that
-do: the rays along which next event estimation, or a path that leaves the scene, finds the sky. A density of the places
-that these rays pass (:class:`~etendue.density.LineDensity`) is mixed with the uniform one over the scene's disc, so
-that no ray is impossible.
+do: the rays along which next event estimation, or a path that leaves the scene, finds the sky. Nor do many rays of a
+sun meet a glass on a terrace, whose caustic only light paths find; the box around the glass tells where they pass. A
+density of the places that these rays pass (:class:`~etendue.density.LineDensity`) is mixed with the uniform one over
+the scene's disc, so that no ray is impossible.
 """
 
 from __future__ import annotations
 
+import functools
+import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -90,13 +94,19 @@ class Lines:
     value: Array
 
     @classmethod
-    def of(cls, path: OpeningPath) -> Lines:
-        """Those that paths have kept."""
-        dr.eval(path.total, path.origin, path.direction)
-        value = np.nan_to_num(np.array(path.total, np.float64))
-        found = value > 0.0
-        o, d = (np.array(line, np.float64).T[found] for line in (path.origin, path.direction))
-        return cls(o, d, value[found])
+    def of(cls, o: mi.Point3f, d: mi.Vector3f, value: mi.Float) -> Lines:
+        """Those of the device that contribute."""
+        dr.eval(o, d, value)
+        values = np.nan_to_num(np.array(value, np.float64))
+        found = values > 0.0
+        origins, directions = (np.array(line, np.float64).T[found] for line in (o, d))
+        return cls(origins, directions, values[found])
+
+    @classmethod
+    def alike(cls, parts: Sequence[Lines]) -> Lines:
+        """Sets of lines together, with the same sum of values for each."""
+        nothing = cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+        return functools.reduce(operator.add, [cls(p.o, p.d, p.value / p.value.sum()) for p in parts], nothing)
 
     def __add__(self, other: Lines) -> Lines:
         return Lines(*(np.concatenate(pair) for pair in zip(self.arrays(), other.arrays(), strict=True)))
