@@ -1,4 +1,5 @@
-"""Light through a window by light paths that look for it: the same picture, with a fraction of the noise."""
+"""Light through a window, and of a sun on glass, by light paths that look for it: the same picture, with a fraction of
+the noise."""
 
 from __future__ import annotations
 
@@ -112,6 +113,31 @@ def test_open_scenes_are_as_they_were(method):
         made = prepared(problem, method)
         assert made.lights.lines is None
         assert "openings" not in made.notes
+
+
+@pytest.mark.parametrize("method", ["light", pytest.param("bpt", marks=pytest.mark.slow)])
+def test_the_caustic_of_a_sun_is_the_same(method):
+    settings = {"light_paths": 16.0} if method == "light" else {}
+    found = run(scenes.terrace("sunsky"), method, passes=8, samples=256, **settings)
+    reference = mitsuba_path(scenes.terrace("sunsky"), passes=8, samples=4096)
+    assert_agree(found.images, reference, method, precision=0.03)
+
+
+def test_the_caustic_of_a_sun_has_less_noise():
+    problem = scenes.terrace("directional", side=20.0)
+    images = [run(problem, "light", passes=8, samples=16, openings=openings).images for openings in (True, False)]
+    ours, even = (image.var(axis=0, ddof=1).sum() for image in images)
+    assert ours < 0.1 * even
+
+
+@pytest.mark.parametrize("material", ["dielectric", "conductor", "roughconductor", "diffuse", "plastic"])
+def test_what_mirrors_and_refracts_only_is_aimed_at(material):
+    problem = scenes.terrace("directional", ball=scenes.MATERIALS[material]())
+    assert ("openings" in prepared(problem, "light").notes) == (material not in ("diffuse", "plastic"))
+
+
+def test_glass_that_many_rays_meet_is_not_aimed_at():
+    assert prepared(scenes.terrace("directional", side=0.3), "light").lights.lines is None
 
 
 def test_paths_of_the_camera_alone_do_not_look_for_them():

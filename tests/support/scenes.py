@@ -356,6 +356,17 @@ def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False, wi
     return load(scene | {f"wall{number}": wall(*place) for number, place in enumerate(walls)})
 
 
+def terrace(*emitters: str, size: tuple[int, int] = (16, 12), side: float = 8.0, ball: Dict | None = None) -> Problem:
+    """A ball, by default of glass, on a square plain of the half-width ``side``, under skies and suns of
+    :data:`EMITTERS`."""
+    scene: Dict = {"type": "scene", "sensor": camera((0.0, 1.2, 2.2), (0.0, -0.3, 0.0), 50.0, size=size)}
+    for name in emitters:
+        scene |= {f"{name}-{key}": value for key, value in EMITTERS[name]().items()}
+    scene["plain"] = plate((0.0, -0.6, 0.0), side, True)
+    scene["ball"] = {"type": "sphere", "radius": 0.4, "bsdf": ball or {"type": "dielectric"}}
+    return load(scene)
+
+
 # ---------------------------------------------------------------------------------------------------- closed forms
 
 

@@ -50,15 +50,15 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
-    lines = [_to_casters(method, seed)] if lights.has_sun else []
+    both = [_to_casters(method, seed)] if lights.has_sun else []
     if look_around(method, seed).sky <= (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
-        lines.append(_lines(method, seed))
-    found = Lines.alike([one for one in lines if one is not None and len(one)]).fitted(lights)
+        both.append(_lines(method, seed))
+    found = Lines.alike([lines for lines in both if lines]).fitted(lights)
     if found is None:
         logger.debug("openings: none, and no mirrors or glass in the sun")
         return lights
     lights, gain = found
-    logger.info("openings: the lines along which camera paths see the sky are sampled %.0f times as often", gain)
+    logger.info("openings: lines to windows, mirrors and glass are sampled %.0f times as often", gain)
     method.notes["openings"] = float(f"{gain:.3g}")
     return lights
 
