@@ -133,11 +133,15 @@ def test_the_caustic_of_a_sun_has_less_noise():
 @pytest.mark.parametrize("material", ["dielectric", "conductor", "roughconductor", "diffuse", "plastic"])
 def test_what_mirrors_and_refracts_only_is_aimed_at(material):
     problem = scenes.terrace("directional", ball=scenes.MATERIALS[material]())
-    assert ("openings" in prepared(problem, "light").notes) == (material not in ("diffuse", "plastic"))
+    assert ("openings" in prepared(problem, "bpt").notes) == (material not in ("diffuse", "plastic"))
 
 
 def test_glass_that_many_rays_meet_is_not_aimed_at():
-    assert prepared(scenes.terrace("directional", side=0.3), "light").lights.lines is None
+    assert prepared(scenes.terrace("directional", side=0.3), "bpt").lights.lines is None
+
+
+def test_methods_without_next_event_do_not_aim():
+    assert prepared(scenes.terrace("directional"), "sppm").lights.lines is None
 
 
 def test_paths_of_the_camera_alone_do_not_look_for_them():

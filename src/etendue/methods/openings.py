@@ -32,7 +32,7 @@ class OpeningSettings(Settings):
     openings: bool = setting(
         True,
         "emit most light paths of skies and suns where they are useful: through windows, found by camera paths, where "
-        "walls hide most of the sky, and of suns at mirrors and glass",
+        "walls hide most of the sky, and by bpt, vcm and auto those of suns at mirrors and glass",
     )
 
     @property
@@ -50,7 +50,8 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
-    both = [_to_casters(method, seed)] if lights.has_sun else []
+    # Without next event, light paths have to light everything else as well.
+    both = [_to_casters(method, seed)] if lights.has_sun and o.samples_sky else []
     if look_around(method, seed).sky <= (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
         both.append(_lines(method, seed))
     found = Lines.alike([lines for lines in both if lines]).fitted(lights)
