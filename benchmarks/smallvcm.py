@@ -66,10 +66,10 @@ def measure(program: Program = None, seconds: Seconds = 30.0, seeds: Seeds = 1) 
         theirs: dict[str, list[float]] = {}
         brightness = 0.0
         for name in ALGORITHMS:
-            image = _theirs(found, number, name, seconds)
-            theirs[name] = error(image[0], halves) * image[1] / seconds
+            image, used = _theirs(found, number, name, seconds)
+            theirs[name] = error(image, halves) * used / seconds
             if name == "vcm":
-                brightness = float(image[0].mean()) / level - 1.0
+                brightness = float(image.mean()) / level - 1.0
         ours, chosen = [], []
         for seed in range(seeds):
             image, used, facts = _ours(problem, "auto", seconds, seed)

@@ -11,9 +11,9 @@ If passes merge, some take turns with a larger radius, and the radius of the fol
 All passes are part of the picture, with equal weights: each is an estimate of the picture, whatever earlier passes have
 found. Passes with merging have a bias, which vanishes as the radius shrinks.
 
-Nothing is learned in a run that is too short for it, in seconds or in samples. Light of a sun through windows
-(:mod:`..openings`), caustics of lamps, and scenes where a few paths from the camera are noisy (:mod:`.noise`), are
-then rendered by ``vcm`` if there are mirrors or glass, by ``bpt`` if not, all others by ``path``.
+Nothing is learned in a run that is too short for it, in seconds or in samples. Light of a sun through windows or on
+mirrors and glass (:mod:`..openings`), caustics of lamps, and scenes where a few paths from the camera are noisy
+(:mod:`.noise`), are then rendered by ``vcm`` if there are mirrors or glass, by ``bpt`` if not, all others by ``path``.
 """
 
 from __future__ import annotations
