@@ -72,6 +72,8 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def variant() -> str:
     """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""
+    # LLVM takes half the time, and tests of rendering are mostly compiling.
+    os.environ.setdefault("ETENDUE_OPTIMISE", "never")
     name = use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))
     set_threads(_threads())
     # The tests and all modules stay: the collection of garbage after each test need not look at them again.

@@ -1,9 +1,13 @@
-"""How Dr.Jit compiles and launches the kernels of this process on a CPU: two settings to which Python has no access.
+"""How Dr.Jit compiles and launches the kernels of this process on a CPU: three settings to which Python has no access.
 
 Gather instructions on AMD processors before Zen 4: LLVM takes them for slower than single loads, and makes eight
 branches of each masked gather. Kernels of light transport are full of gathers: with the instruction, they are compiled
 in .6 to .8 of the time on Zen 3, and run in .8 to .9 of it (``python -m benchmarks gathers``). With AVX-512 LLVM uses
 gathers anyway; what it knows of processors of other makers is left as it is.
+
+Optimisation: LLVM spends more than half of its time on it, and kernels then run in .9 to .95 of the time
+(``python -m benchmarks quick``). A brief run is done sooner without. The code of both kinds of kernels differs by
+rounding only, and Dr.Jit keeps them apart in its cache.
 
 Blocks of lanes that a thread takes at a time: Dr.Jit's have 16,384 lanes, or are two for each thread if that is less.
 Neighbouring pixels cost alike, so that threads then wait for the one with the dearest part of the picture.
@@ -12,17 +16,27 @@ Neighbouring pixels cost alike, so that threads then wait for the one with the d
 from __future__ import annotations
 
 import ctypes
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 _FAST = "+fast-gather"
 _BLOCK = 1024
+#: Versions of Dr.Jit whose LLVM code is known to name the processor as a quoted attribute of every function.
+_KNOWN = "1.5."
+#: What the name of the processor is extended by: attributes of the functions, by which LLVM does not optimise them.
+_PLAIN = '" optnone noinline "kernels"="not optimised'
+#: ``always`` or ``never``: whether kernels are optimised, whatever the run.
+OPTIMISE = "ETENDUE_OPTIMISE"
 
 
 def tune_kernels() -> None:
-    """Apply both settings. To be called under an LLVM variant."""
+    """Apply the settings; kernels are optimised. To be called under an LLVM variant."""
     use_gathers()
+    optimise_kernels()
     core = _core()
     if core is not None:
         core.set_block(_BLOCK)
@@ -42,11 +56,38 @@ def use_gathers(wanted: bool = True) -> bool:
     if core is None:
         return False
     name, own = ((text or b"").decode() for text in (core.processor(), core.features()))  # none without an LLVM variant
-    plain = own.removesuffix(f",{_FAST}")
+    name, plain = name.removesuffix(_PLAIN), own.removesuffix(f",{_FAST}")
     chosen = with_gathers(name, plain) if wanted else plain
     if chosen != own:
-        core.set_target(name.encode(), chosen.encode(), core.width())
+        core.set_target(core.processor(), chosen.encode(), core.width())
     return chosen != plain
+
+
+def optimise_kernels(wanted: bool = True) -> bool:
+    """Whether LLVM optimises the kernels that are compiled from now on, unless ``$ETENDUE_OPTIMISE`` says ``always`` or
+    ``never``. Returns whether it did so far. Without effect where kernels are not compiled by LLVM."""
+    import drjit as dr
+
+    core = _core()
+    own = (core.processor() or b"").decode() if core and dr.__version__.startswith(_KNOWN) else ""
+    if not core or not own:
+        return True
+    wanted = {"always": True, "never": False}.get(os.environ.get(OPTIMISE, ""), wanted)
+    plain = own.removesuffix(_PLAIN)
+    chosen = plain if wanted else plain + _PLAIN
+    if chosen != own:
+        core.set_target(chosen.encode(), core.features(), core.width())
+    return own == plain
+
+
+@contextmanager
+def compiled_for_few_passes() -> Iterator[None]:
+    """Kernels are not optimised."""
+    before = optimise_kernels(False)
+    try:
+        yield
+    finally:
+        optimise_kernels(before)
 
 
 class _Core:

@@ -21,6 +21,7 @@ from etendue.core import (
     State,
     is_whole,
     logger,
+    optimise_kernels,
     prepared,
 )
 
@@ -108,6 +109,7 @@ class Job:
         task.product.check(problem)
         begin = time.perf_counter()
         budget = task.budget or task.product.default_budget(task, problem)
+        optimise_kernels(not task.product.is_brief(problem, budget))
         method = task.product.make_method(task, task.product.settings(task, problem, budget), problem, budget)
         if budget.samples is None or method.samples_for(problem) is None:
             method = prepared(method, problem, task.seed)
@@ -137,6 +139,7 @@ class Job:
         checkpoint.require_scene(problem.fingerprint)
         task.product.check(problem)
         begin = time.perf_counter()
+        optimise_kernels(not task.product.is_brief(problem, budget))
         method = prepared(task.product.make_method(task, settings, problem, budget), problem, checkpoint.seed)
         method = replicated(method, checkpoint.state, problem, checkpoint.seed)
         method.enter(checkpoint.state)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
+#: Seconds of a run up to which it is brief.
+_BRIEF = 10.0
+
 
 def silent(*_: object) -> None:
     """Tell nobody."""
@@ -48,6 +51,10 @@ class Product(ABC, Generic[R]):
     @abstractmethod
     def default_budget(self, task: Task, problem: Any) -> Budget:
         """The budget of a run for which none is given."""
+
+    def is_brief(self, problem: Any, budget: Budget) -> bool:
+        """Whether a run is so short that LLVM would spend more time on optimising its kernels than that saves."""
+        return budget.seconds is not None and budget.seconds <= _BRIEF
 
     def settings(self, task: Task, problem: Any, budget: Budget) -> Settings:
         """The settings of the method."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import InNotebooks, Progress, describe, logger
+from etendue.core import InNotebooks, Progress, describe, logger, optimise_kernels
 
 from .runner import Cancelled, RunError, Runner, RunResult
 
@@ -69,6 +69,7 @@ class Session(InNotebooks, Generic[T]):
         except BaseException as error:  # raised by `wait`
             self._error = error
         finally:
+            optimise_kernels()  # the job may have chosen otherwise
             try:
                 self._at_end()
             except Exception as error:

@@ -21,6 +21,7 @@ from etendue.core import (
     Settings,
     checked_path,
     logger,
+    threads,
     warn_of_nonfinite,
 )
 from etendue.engine import Budget, Checkpoint, Job, Product, RunResult, Task, check_period, silent, versions
@@ -30,6 +31,9 @@ from etendue.scene import Problem, SceneSource, band_names, described_sensor
 from .files import PathLike, Write, Writing, check_files, listed, rescued
 
 Image = NDArray[np.float32]
+
+#: Camera paths of a thread in a run up to which it is brief: some seconds.
+_BRIEF = 1 << 21
 
 
 @dataclass(repr=False)
@@ -120,6 +124,11 @@ class Picture(Product[Rendering]):
     def default_budget(self, task: Task, problem: Problem) -> Budget:
         """The scene's own sample count."""
         return Budget(samples=max(1, problem.spp))
+
+    def is_brief(self, problem: Problem, budget: Budget) -> bool:
+        """See :class:`Product`."""
+        paths = math.prod(problem.size) * (budget.samples or math.inf)
+        return super().is_brief(problem, budget) or paths <= _BRIEF * threads()
 
     def settings(self, task: Task, problem: Problem, budget: Budget) -> Settings:
         """See :func:`scene_settings`."""

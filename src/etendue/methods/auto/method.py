@@ -29,7 +29,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, CheckpointError, Measurement, Result, SampleSource, State, logger, setting
+from etendue.core import (
+    Carrying,
+    CheckpointError,
+    Measurement,
+    Result,
+    SampleSource,
+    State,
+    compiled_for_few_passes,
+    logger,
+    setting,
+)
 from etendue.film import COMPONENTS
 from etendue.scene import LightTable, Problem, materials, one_way, refuse_one_way
 from etendue.transport import MANY, CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
@@ -188,7 +198,8 @@ class Auto(Carrying, ImageMethod):
             self._counts = self._brief
         learning = self._learns and self._is_due()
         if learning:
-            rendered = self._learn(iteration, seed, samples)
+            with compiled_for_few_passes():
+                rendered = self._learn(iteration, seed, samples)
         elif self._counts.merging and self._learned.passes and not self.settings.radius:
             rendered = self._widened(iteration, seed, samples)
         else:
