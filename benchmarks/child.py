@@ -75,8 +75,8 @@ def memory(options: dict[str, Any]) -> dict[str, Any]:
     return outcome | {"peaks": peaks}
 
 
-def gathers(options: dict[str, Any]) -> dict[str, Any]:
-    """Seconds of compiling, and CPU seconds of passes in turn, without and with gather instructions. A method, or
+def compiled(options: dict[str, Any]) -> dict[str, Any]:
+    """Seconds of compiling, and CPU seconds of passes in turn, without and with a setting of LLVM. A method, or
     Mitsuba's ``path``."""
     import drjit as dr
     import mitsuba as mi
@@ -84,9 +84,10 @@ def gathers(options: dict[str, Any]) -> dict[str, Any]:
 
     from etendue import methods, scene
     from etendue.core import Replica, use_variant
-    from etendue.core.kernels import use_gathers
+    from etendue.core.kernels import optimise_kernels, use_gathers
 
     use_variant(options["variant"])
+    choose = {"gathers": use_gathers, "optimised": optimise_kernels}[options["what"]]
     problem = scene.load(options["scene"], size=tuple(options["size"]))
 
     def of_mitsuba(number: int) -> Any:
@@ -96,7 +97,7 @@ def gathers(options: dict[str, Any]) -> dict[str, Any]:
     compiled, tasks = [], list[Callable[[int], Any]]()
     for wanted in (False, True):
         dr.kernel_history_clear()
-        use_gathers(wanted)
+        choose(wanted)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             if options["method"]:
                 method = methods.get(options["method"])
@@ -114,7 +115,7 @@ def gathers(options: dict[str, Any]) -> dict[str, Any]:
     for number in range(1, options["rounds"] + 1):
         pictures = []
         for wanted in (False, True):
-            use_gathers(wanted)
+            choose(wanted)
             begin = time.process_time()
             pictures.append(tasks[wanted](number))
             passes[wanted].append(time.process_time() - begin)
@@ -202,7 +203,7 @@ if __name__ == "__main__":
     COMMANDS = {
         "first-pass": first_pass,
         "memory": memory,
-        "gathers": gathers,
+        "compiled": compiled,
         "scale": scale,
         "picture": picture,
         "view-factors": view_factors,

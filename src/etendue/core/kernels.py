@@ -6,7 +6,7 @@ in .6 to .8 of the time on Zen 3, and run in .8 to .9 of it (``python -m benchma
 gathers anyway; what it knows of processors of other makers is left as it is.
 
 Optimisation: LLVM spends more than half of its time on it, and kernels then run in .9 to .95 of the time
-(``python -m benchmarks quick``). A brief run is done sooner without. The code of both kinds of kernels differs by
+(``python -m benchmarks optimised``). A brief run is done sooner without. The code of both kinds of kernels differs by
 rounding only, and Dr.Jit keeps them apart in its cache.
 
 Blocks of lanes that a thread takes at a time: Dr.Jit's have 16,384 lanes, or are two for each thread if that is less.
@@ -81,9 +81,10 @@ def optimise_kernels(wanted: bool = True) -> bool:
 
 
 @contextmanager
-def compiled_for_few_passes() -> Iterator[None]:
-    """Kernels are not optimised."""
-    before = optimise_kernels(False)
+def own_kernels(optimise: bool = True) -> Iterator[None]:
+    """What a block, or a function that this decorates, chooses by :func:`optimise_kernels` ends with it; ``optimise``
+    is what it begins with."""
+    before = optimise_kernels(optimise)
     try:
         yield
     finally:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import InNotebooks, Progress, describe, logger, optimise_kernels
+from etendue.core import InNotebooks, Progress, describe, logger, own_kernels
 
 from .runner import Cancelled, RunError, Runner, RunResult
 
@@ -55,6 +55,7 @@ class Session(InNotebooks, Generic[T]):
         )
         self._thread.start()
 
+    @own_kernels()
     def _work(self) -> None:
         try:
             set_jit_flags(self._flags)
@@ -69,7 +70,6 @@ class Session(InNotebooks, Generic[T]):
         except BaseException as error:  # raised by `wait`
             self._error = error
         finally:
-            optimise_kernels()  # the job may have chosen otherwise
             try:
                 self._at_end()
             except Exception as error:

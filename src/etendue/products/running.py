@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from etendue.core import EtendueError, Progress, Result, describe, format_count, logger
+from etendue.core import EtendueError, Progress, Result, describe, format_count, logger, own_kernels
 from etendue.engine import InTurn, Job, RunError, Runner, RunResult, Session
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ class Update:
 Callback = Callable[[Update], object]
 
 
+@own_kernels()
 def run_job(open_job: Callable[[], Job], callback: Callback | None = None, cluster: Cluster | None = None) -> Any:
     """Run in this thread, so that ``callback`` may plot or raise; ``cluster`` makes the passes. Returns the product."""
     job = open_job()

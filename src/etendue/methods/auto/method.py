@@ -36,8 +36,8 @@ from etendue.core import (
     Result,
     SampleSource,
     State,
-    compiled_for_few_passes,
     logger,
+    own_kernels,
     setting,
 )
 from etendue.film import COMPONENTS
@@ -198,8 +198,7 @@ class Auto(Carrying, ImageMethod):
             self._counts = self._brief
         learning = self._learns and self._is_due()
         if learning:
-            with compiled_for_few_passes():
-                rendered = self._learn(iteration, seed, samples)
+            rendered = self._learn(iteration, seed, samples)
         elif self._counts.merging and self._learned.passes and not self.settings.radius:
             rendered = self._widened(iteration, seed, samples)
         else:
@@ -352,6 +351,7 @@ class Auto(Carrying, ImageMethod):
 
     # ------------------------------------------------------------------ learning
 
+    @own_kernels(optimise=False)  # few passes
     def _learn(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass that estimates moments, and the decision after it."""
         vcm = self._estimator()

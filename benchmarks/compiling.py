@@ -1,4 +1,4 @@
-"""Gather instructions in the kernels (:mod:`etendue.core.kernels`): what they save on this processor."""
+"""How LLVM compiles kernels (:mod:`etendue.core.kernels`): what each setting saves or costs on this processor."""
 
 from __future__ import annotations
 
@@ -14,31 +14,44 @@ from .fresh import file_of
 from .measuring import COST_SETTINGS, Record, child, spread
 from .options import Methods, Names, Rounds, Size
 
+_METHODS = "path,bpt,vcm"
+_SCENES = "cornell-glass,grey-white-room,street"
 
-def measure(
-    methods: Methods = "path,bpt,vcm",
-    scenes: Names = "cornell-glass,grey-white-room,street",
-    size: Size = "384x384",
-    rounds: Rounds = 7,
-) -> Record:
-    """Passes of one sample with the instruction and as LLVM compiles by itself, in turn, of Mitsuba's ``path``, too.
+
+def gathers(methods: Methods = _METHODS, scenes: Names = _SCENES, size: Size = "384x384", rounds: Rounds = 7) -> Record:
+    """Passes of one sample with gather instructions and as LLVM compiles by itself, in turn, of Mitsuba's ``path``,
+    too.
 
     Raises :class:`OptionError` if this processor is compiled for as LLVM knows it.
     """
     if not use_gathers():
         raise OptionError("LLVM uses this processor's gather instructions, or étendue leaves its choice to it")
+    return _compared("Gather instructions", "gathers", methods, scenes, size, rounds)
+
+
+def optimised(
+    methods: Methods = _METHODS, scenes: Names = _SCENES, size: Size = "384x384", rounds: Rounds = 7
+) -> Record:
+    """Passes of one sample without LLVM's optimisation and with it, in turn, of Mitsuba's ``path``, too."""
+    return _compared("LLVM's optimisation of kernels", "optimised", methods, scenes, size, rounds)
+
+
+def _compared(
+    title: str, what: str, methods: tuple[str, ...], scenes: tuple[str, ...], size: tuple[int, int], rounds: int
+) -> Record:
+    """A table of ``what``, a function of ``child.compiled``."""
     columns = ("scene", "", "compiled s, without", "with", "", "pass CPU s, without", "with", "")
-    record = Record(f"Gather instructions, {size[0]}x{size[1]}", columns)
+    record = Record(f"{title}, {size[0]}x{size[1]}", columns)
     differ = 0.0
     for name in scenes:
-        with tempfile.TemporaryDirectory(prefix="gathers-") as folder:
+        with tempfile.TemporaryDirectory(prefix="compiling-") as folder:
             file = file_of(name, folder)
             for method in (None, *methods):
                 with tempfile.TemporaryDirectory(prefix="kernels-") as cache:
-                    options = {"scene": file, "size": size, "method": method, "variant": mi.variant()}
+                    options = {"what": what, "scene": file, "size": size, "method": method, "variant": mi.variant()}
                     if method:
                         options["settings"] = COST_SETTINGS[method]
-                    outcome = child("gathers", options | {"rounds": rounds}, {"DRJIT_CACHE_DIR": cache})
+                    outcome = child("compiled", options | {"rounds": rounds}, {"DRJIT_CACHE_DIR": cache})
                 label = method or "Mitsuba's path"
                 if not outcome:
                     record.add(name, label, *["failed"] * 6)
