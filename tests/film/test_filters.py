@@ -254,7 +254,7 @@ def test_camera_paths_converge_to_the_convolution(mi, name, size):
     np.testing.assert_allclose(image, expected_image(mi, name, width, height), rtol=6e-3)
 
 
-@pytest.mark.parametrize(("name", "size"), crossed(FILTERS, SIZES, 2))
+@pytest.mark.parametrize(("name", "size"), crossed(FILTERS, SIZES, 4))
 def test_splats_converge_to_the_same_convolution(mi, name, size):
     from etendue.film import PixelFilter
 

@@ -322,7 +322,7 @@ def test_a_short_run_traces_light_paths_where_camera_paths_are_noisy(name, secon
     assert describe(method._brief) == choice
 
 
-@pytest.mark.parametrize("spp", [1, 4])
+@pytest.mark.parametrize("spp", thinned([1, 4], [4]))
 def test_noise_of_camera_paths_is_that_of_their_pictures(spp):
     """Pairs of pictures of one path per pixel, in the same groups of 64 pixels. The unit of light does not matter."""
     problem = scenes.room("rectangle", scenes.FEW)

@@ -142,7 +142,7 @@ def many(lamps: int) -> Any:
 def test_every_technique_knows_which_lamps_the_others_pick(lamps):
     """Lights picked by place, alone and in groups: pictures agree with those of paths that pick them evenly."""
     problem = many(lamps)
-    expected = mitsuba_path(problem, samples=512, max_depth=4)
+    expected = mitsuba_path(problem, samples=256, max_depth=4)
     for method, settings in (
         ("path", {}),
         ("guided", {"cell_samples": 500}),

@@ -107,7 +107,11 @@ def compare(name: str, method: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "method"), [("rectangle", "bpt"), ("sphere", "bpt power"), ("cube", "vcm"), ("attribute", "light")]
+    ("name", "method"),
+    thinned(
+        [("rectangle", "bpt"), ("sphere", "bpt power"), ("cube", "vcm"), ("attribute", "light")],
+        [("sphere", "bpt power"), ("attribute", "light")],
+    ),
 )
 def test_lamps_with_a_texture(name, method):
     compare(name, method)

@@ -205,7 +205,7 @@ def test_a_run_is_resumed_with_its_map_only(method, tmp_path):
 
 def mean_of(problem, made):
     """Of the picture that a map shows."""
-    return ended(problem, "path", made, passes=1, samples=512).mean.mean()
+    return ended(problem, "path", made, passes=1, samples=128).mean.mean()
 
 
 def test_maps_of_all_kinds_agree(box, tmp_path):

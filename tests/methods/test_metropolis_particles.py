@@ -76,7 +76,7 @@ def test_a_closed_box_receives_its_power_over_the_absorbed_share():
 
 @pytest.mark.parametrize(
     ("emitter", "group"),
-    [("mixed", scenes.FEW), pytest.param("textured", "specular", marks=pytest.mark.slow)],
+    [pytest.param(*row, marks=pytest.mark.slow) for row in (("mixed", scenes.FEW), ("textured", "specular"))],
 )
 def test_places_and_lengths_as_of_independent_paths(emitter, group):
     """Chi-square over shapes, quarters of them and bounces, with the variance between chains and between paths."""

@@ -33,8 +33,8 @@ ROWS = [
 def test_it_is_the_same_picture(row):
     suns, method = row[0].split(), row[1]
     settings = {"light_paths": 16.0} if method == "light" else {}
-    found = run(scenes.hut(*suns), method, passes=8, samples=256, **settings)
-    reference = mitsuba_path(scenes.hut(*suns), passes=8, samples=2048)
+    found = run(scenes.hut(*suns), method, passes=8, samples=128, **settings)
+    reference = mitsuba_path(scenes.hut(*suns), passes=8, samples=1024)
     assert_agree(found.images, reference, (suns, method), precision=0.03)
 
 
@@ -119,7 +119,7 @@ def test_open_scenes_are_as_they_were(method):
 def test_the_caustic_of_a_sun_is_the_same(method):
     settings = {"radius": 0.002} if method == "vcm" else {}
     found = run(scenes.terrace("sunsky"), method, passes=8, samples=256, **settings)
-    reference = mitsuba_path(scenes.terrace("sunsky"), passes=8, samples=4096)
+    reference = mitsuba_path(scenes.terrace("sunsky"), passes=8, samples=2048)
     assert_agree(found.images, reference, method, precision=0.03)
 
 

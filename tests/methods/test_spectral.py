@@ -69,7 +69,7 @@ def pictures(problem: Any, method: str, runs: int = 6, samples: int = 16, **sett
     return replicas(problem, method, runs, 16, samples, max_depth=8, **radius, **settings)
 
 
-@pytest.mark.parametrize("method", thinned(METHODS, ("vcm",)))
+@pytest.mark.parametrize("method", thinned(METHODS, ("bpt",)))
 def test_the_methods_agree_with_mitsuba(method):
     problem = load(coloured())
     theirs = mitsuba_path(problem, 8, 2048, max_depth=8)

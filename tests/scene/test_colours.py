@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.running import run
 from support.spectral import spectral_variant
+from support.tables import thinned
 
 from etendue.core import UnsupportedError
 from etendue.scene import SceneEditor, bundled_scene, colours_of, load, name_elements
@@ -40,7 +41,7 @@ ENTRIES = {
 }
 
 
-@pytest.mark.parametrize("entry", ENTRIES)
+@pytest.mark.parametrize("entry", thinned(ENTRIES, ("render", "view")))
 def test_python_chooses_the_variant_of_a_scene(entry):
     """In a process of its own, since a variant that is set stays."""
     scene = {

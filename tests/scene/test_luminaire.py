@@ -241,7 +241,7 @@ REPLICAS: dict[str, tuple[int, dict[str, Any]]] = {
             ("mmlt", "lopsided"),
             ("mitsuba", "narrow"),
         ],
-        [("light", "lopsided"), ("bpt", "narrow"), ("vcm", "lopsided"), ("guided", "lopsided"), ("mitsuba", "narrow")],
+        [("light", "lopsided"), ("vcm", "lopsided"), ("mitsuba", "narrow")],
     ),
 )
 def test_methods_agree(method, name, folder):

@@ -42,7 +42,7 @@ def choose(patches: Patches, error: float | None) -> tuple[bool, str]:
 def _seconds_of_lines(patches: Patches, error: float) -> float:
     """The time of the lines that an error needs, by that of some of their bundles."""
     split = split_for(patches, error)
-    points = SpiralPoints(0, _BUNDLES if split is None else split.bundles)
+    points = SpiralPoints(0, _BUNDLES)  # a spiral of all bundles takes seconds to make, and its lines cost the same
     cast_lines = None if split is None else min(split.lines, _MOST_LINES)
     engine = ABuffer(patches, points, cast_lines)
     engine.cast(1, warn=False)  # loads or compiles
