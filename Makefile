@@ -28,7 +28,7 @@ demo: .venv/stamp-run ## render the bundled caustic scene by path and by vcm, an
 lint: .venv/stamp-dev ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers 2
 
 test: lint ## lint, and the tests that a change must pass (minutes)
 	$(PYTEST) -m "not slow and not gpu"
