@@ -34,9 +34,9 @@ OPTIMISE = "ETENDUE_OPTIMISE"
 
 
 def tune_kernels() -> None:
-    """Apply the settings; kernels are optimised. To be called under an LLVM variant."""
+    """Apply the settings; whether kernels are optimised stays as it is. To be called under an LLVM variant."""
     use_gathers()
-    optimise_kernels()
+    optimise_kernels(None)
     core = _core()
     if core is not None:
         core.set_block(_BLOCK)
@@ -63,17 +63,19 @@ def use_gathers(wanted: bool = True) -> bool:
     return chosen != plain
 
 
-def optimise_kernels(wanted: bool = True) -> bool:
+def optimise_kernels(wanted: bool | None = True) -> bool:
     """Whether LLVM optimises the kernels that are compiled from now on, unless ``$ETENDUE_OPTIMISE`` says ``always`` or
-    ``never``. Returns whether it did so far. Without effect where kernels are not compiled by LLVM."""
+    ``never``; ``None``: as so far. Returns whether it did so far. Without effect where kernels are not compiled by
+    LLVM."""
     import drjit as dr
 
     core = _core()
     own = (core.processor() or b"").decode() if core and dr.__version__.startswith(_KNOWN) else ""
     if not core or not own:
         return True
-    wanted = {"always": True, "never": False}.get(os.environ.get(OPTIMISE, ""), wanted)
     plain = own.removesuffix(_PLAIN)
+    wanted = own == plain if wanted is None else wanted
+    wanted = {"always": True, "never": False}.get(os.environ.get(OPTIMISE, ""), wanted)
     chosen = plain if wanted else plain + _PLAIN
     if chosen != own:
         core.set_target(chosen.encode(), core.features(), core.width())

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, describe, logger, use_variant
+from etendue.core import EtendueError, describe, logger, own_kernels, use_variant
 from etendue.engine import jit_flags, set_jit_flags
 from etendue.scene import Problem, name_elements, require_colours
 
@@ -226,6 +226,7 @@ class ViewerSession:
 
     # ------------------------------------------------------------------ the thread
 
+    @own_kernels(optimise=False)  # a person waits for them, and an edit may need others
     def _work(self) -> None:
         try:
             self._guarded(self._begin, fatal=True)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, BinaryIO
 
-from etendue.core import describe, use_variant
+from etendue.core import describe, optimise_kernels, use_variant
 from etendue.scene import Problem
 
 from ..panels.parameters import Parameters
@@ -98,6 +98,7 @@ class _Worker:
         self._scene = self._picture = None
         gc.collect()
         use_variant(scene.variant)
+        optimise_kernels(False)  # as those of the session
 
         def load(asked: Asked, changes: Mapping[str, Any]) -> Problem:
             session = ViewerSession(asked)
