@@ -123,7 +123,7 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
     folder does not. If both exist, ``tell`` receives a line that says which one is used. Raises :class:`SceneError` if
     there is neither.
     """
-    name, path, scenes = str(name), Path(name), bundled()
+    name, path = str(name), Path(name)
     inner = path / _SCENE_FILE
     file = path if path.is_file() else inner if inner.is_file() else None
     if file is not None:
@@ -131,9 +131,10 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
             raise SceneError(
                 f"'{name}' is not a scene file; give Mitsuba's .xml, a model ({', '.join(SUFFIXES)}) or a bundled scene"
             )
-        if name in scenes:
+        if not path.suffix and name in bundled():
             tell(f"'{name}' is read as the file {file}, not as the bundled scene")
         return file
+    scenes = bundled()
     if name in scenes:
         if path.is_dir():
             tell(f"'{name}' is read as the bundled scene; the folder of that name has no {_SCENE_FILE}")
