@@ -7,6 +7,7 @@ A program is a package that ``python -m`` runs; what it measures is recorded in 
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -226,6 +227,8 @@ PROGRAMS = {
 
 def main(package: str) -> None:
     """Run a program. An error on purpose is a line on stderr."""
+    # Processes that are timed find Python's modules compiled, as those of users do after the first one.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     try:
         command_line(PROGRAMS[package])()
     except EtendueError as error:

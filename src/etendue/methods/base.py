@@ -55,7 +55,6 @@ from etendue.transport import (
     CameraPath,
     CameraSampler,
     FirstHits,
-    LightWalk,
     Recording,
     Splats,
     Visibility,
@@ -431,8 +430,8 @@ class ImageMethod(Method):
     def walker(self, kind: type[W], **own: Any) -> W:
         """A walker of class ``kind`` for the prepared scene; ``own``: fields to add, or to override."""
         common: dict[str, Any] = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
-        common["rays"] = self.recording.light if issubclass(kind, LightWalk) else self.recording.camera
-        if self.visibility.mipmaps and not issubclass(kind, LightWalk):
+        common["rays"] = self.recording.light if kind.from_lights else self.recording.camera
+        if self.visibility.mipmaps and not kind.from_lights:
             common["footprint"] = lambda p: self.camera.footprint(p, mi.Point2f(0.5))
         return kind(**(common | {"rr_depth": self.settings.rr_depth} | own))
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -167,6 +167,7 @@ class Emission:
 class Walker:
     """Traces sub-paths in one scene."""
 
+    from_lights: ClassVar[bool] = False
     visibility: Visibility
     lights: LightTable
     max_edges: mi.UInt32  #: opaque

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -47,6 +47,7 @@ class LightPath(BidirectionalPath):
 class LightWalk(BidirectionalWalk):
     """Traces light sub-paths; :meth:`trace` is one kernel."""
 
+    from_lights: ClassVar[bool] = True
     proposal: Proposal = scatter_light
     kind: type[LightPath] = LightPath  #: class of the state
     spare: int = 1
