@@ -10,14 +10,16 @@ import sys
 import time
 from dataclasses import replace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from support.tasks import rendering
 from support.workers import dask_workers
 
 import etendue
-from etendue.core import ClusterError, SceneError
-from etendue.distributed import Cluster, DaskPool, ProcessPool
+from etendue.core import ClusterError, SceneError, kernels, optimise_kernels, own_kernels
+from etendue.distributed import Cluster, DaskPool, ProcessPool, Store, recipe
+from etendue.distributed.recipes import OpenRecipe
 from etendue.engine import Budget, Checkpoint, Job, Replicated
 from etendue.methods import get
 from etendue.products import Picture, run_job, start_job
@@ -71,6 +73,23 @@ def test_the_picture_of_two_processes_is_that_of_one_and_a_kill_loses_nothing(al
     close(made.image, alone.image)
     assert made.metadata["passes"] == PASSES
     assert made.metadata["rays"] == alone.metadata["rays"]
+
+
+def test_a_worker_compiles_as_its_client(monkeypatch, tmp_path):
+    if kernels._core() is None or not mi.variant().startswith("llvm"):
+        pytest.skip("kernels are not compiled by LLVM, or Dr.Jit's functions are not found")
+    monkeypatch.delenv(kernels.OPTIMISE, raising=False)
+    job, store = Job.open(task()), Store(tmp_path)
+    for optimises in (False, True):
+        with own_kernels(optimises):
+            made = recipe(job.ingredients(), job.method, None)
+        for piece in made.offered.pieces(made.digest):
+            store.receive(made.digest, *piece)
+        with own_kernels():
+            OpenRecipe(store, made.digest)
+            assert optimise_kernels(None) is optimises
+    monkeypatch.undo()
+    optimise_kernels()
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ branches of each masked gather. Kernels of light transport are full of gathers: 
 in .6 to .8 of the time on Zen 3, and run in .8 to .9 of it (``python -m benchmarks gathers``). With AVX-512 LLVM uses
 gathers anyway; what it knows of processors of other makers is left as it is.
 
-Optimisation: LLVM spends more than half of its time on it, and kernels then run in .9 to .95 of the time
+Optimisation: LLVM spends more than half of its time on it, and kernels then run in .9 to 1 of the time
 (``python -m benchmarks optimised``). A brief run is done sooner without. The code of both kinds of kernels differs by
 rounding only, and Dr.Jit keeps them apart in its cache.
 

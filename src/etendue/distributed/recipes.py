@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import ClusterError, Ingredients, Method, prepared, use_variant
+from etendue.core import ClusterError, Ingredients, Method, optimise_kernels, prepared, use_variant
 from etendue.engine import versions
 
 from .content import ContentFile, Offered, Store
@@ -52,6 +52,7 @@ def recipe(
     arrays = ingredients.arrays | {f"{_ARGUMENT}{name}": array for name, array in (arguments or {}).items()}
     manifest: dict[str, Any] = {
         "versions": versions(),
+        "optimise": optimise_kernels(None),  # with those of this process, numbers are the same to the last bit
         "fingerprint": fingerprint,
         "open": ingredients.open,
         "values": ingredients.values,
@@ -87,6 +88,7 @@ class OpenRecipe:
         self._manifest, self.digest = manifest, digest
         check_versions(manifest["versions"])
         use_variant(manifest["versions"]["variant"])
+        optimise_kernels(manifest["optimise"])
         entries = {place: ContentFile(**entry) for place, entry in manifest["files"].items()}
         files = _found(store, entries)
         self._arrays: dict[str, NDArray[Any]] = {}
