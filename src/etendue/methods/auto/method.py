@@ -42,7 +42,7 @@ from etendue.core import (
 )
 from etendue.film import COMPONENTS
 from etendue.scene import LightTable, Problem, materials, one_way, refuse_one_way
-from etendue.transport import MANY, CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
+from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
 from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
@@ -469,8 +469,8 @@ class Auto(Carrying, ImageMethod):
             return counts
         if is_specular and self.lights.has_delta:
             return counts  # for caustics that paths from the camera never find
-        if seconds < _HASTY + _HASTY_PER_KIND * kinds or self.lights.count >= MANY or not self.lights.has_area:
-            return _NONE  # many lamps: the noise is that of the choice of one, which light paths have as well
+        if seconds < _HASTY + _HASTY_PER_KIND * kinds or not self.lights.has_area:
+            return _NONE
         return counts if is_specular or self._noise() > _NOISY else _NONE
 
     def _noise(self) -> float:
