@@ -313,10 +313,11 @@ def test_a_short_run_learns_nothing(lamp, material, seconds, choice):
 
 
 @pytest.mark.parametrize(
-    ("name", "seconds", "choice"), [("cornell-box", 5.0, "path"), ("ajar", 5.0, "bpt"), ("ajar", 2.0, "path")]
+    ("name", "seconds", "choice"),
+    [("cornell-box", 5.0, "path"), ("ajar", 5.0, "bpt"), ("ajar", 2.0, "path"), ("street", 5.0, "vcm")],
 )
 def test_a_short_run_traces_light_paths_where_camera_paths_are_noisy(name, seconds, choice):
-    """A lamp in the next room, after a time in which their kernels can be compiled."""
+    """A lamp in the next room, or a thousand and glass, after a time in which their kernels can be compiled."""
     method = prepared(scene.load(name, size=(64, 48)), "auto").method
     method.plan(seconds, None, None)
     assert describe(method._brief) == choice
