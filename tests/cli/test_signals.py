@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shlex
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ import pytest
 
 import etendue
 from etendue import film
+from etendue.cli.interrupts import Interrupts, leaving
 from etendue.cli.main import main
 from etendue.engine import Checkpoint
 
@@ -167,6 +170,21 @@ def test_a_signal_while_nothing_runs_ends_the_command(folder):
     assert process.returncode == 128 + signal.SIGTERM
     assert "Traceback" not in err
     assert os.listdir(folder) == []
+
+
+def test_a_signal_during_the_import_of_what_writes_files(monkeypatch):
+    monkeypatch.setitem(sys.modules, "etendue.film.output", types.ModuleType("half-imported"))
+    with pytest.raises(KeyboardInterrupt), leaving():
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_whose_exception_was_lost_ends_the_command_before_its_run():
+    """As imports and compiled code may lose it."""
+    with pytest.raises(KeyboardInterrupt), leaving():
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        with Interrupts(lambda: None, lambda: None):
+            pytest.fail("the run began")
 
 
 def wait_for_handler(process: subprocess.Popen[str]) -> None:

@@ -25,7 +25,7 @@ class Interrupts:
 
     ``stop`` is called at the first signal, ``abort`` at each that comes more than :data:`ONE_REQUEST` seconds after the
     one before. Both may raise. While ``wait()``, a signal is put off. A block may be inside another, which handles
-    signals before and after it.
+    signals before and after it; if it has received one and goes on, its ``stop`` is called again.
     """
 
     def __init__(
@@ -40,6 +40,9 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
+            around = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
+            if isinstance(around, Interrupts) and around.received is not None:
+                around._stop()  # what it raised was lost: in an import, or in compiled code
             self._former = {number: signal.signal(number, self._handle) for number in SIGNALS}
         return self
 
@@ -102,5 +105,6 @@ def leaving() -> Interrupts:
 
 
 def _is_writing() -> bool:
-    film = sys.modules.get("etendue.film")  # it imports NumPy, which most commands that end early do not need
-    return film is not None and film.is_writing()
+    # Looked up, not imported: the signal may have interrupted an import of this very module.
+    is_writing = getattr(sys.modules.get("etendue.film.output"), "is_writing", None)
+    return is_writing is not None and is_writing()
