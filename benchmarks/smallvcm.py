@@ -11,21 +11,20 @@ import re
 import shutil
 import subprocess
 import tempfile
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from etendue import methods, scene
-from etendue.core import Measurement, OptionError, Replica
+from etendue import scene
+from etendue.core import OptionError
 from etendue.scene.builtin.pieces import camera, diffuse, glass, mirror, rectangle, rgb
 
 from .choice import error, error_note
 from .measuring import Record, console, verdict
 from .options import Seconds, Seeds
-from .tuning import WARM_PASSES
+from .tuning import Passes
 
 #: Error of ``auto`` over that of the best algorithm of SmallVCM, at most.
 BAR = 0.2
@@ -61,7 +60,7 @@ def measure(program: Program = None, seconds: Seconds = 30.0, seeds: Seeds = 1) 
     )
     for number, (light, content) in enumerate(SCENES):
         problem = scene.load(room(light, content), size=_SIZE)
-        halves = [_ours(problem, "vcm", _HALF * seconds, 1000 + k, radius=0.002)[0] for k in range(2)]
+        halves = [Passes(problem, "vcm", 1000 + k, radius=0.002).until(_HALF * seconds).mean() for k in range(2)]
         level = float(np.mean(halves))
         theirs: dict[str, list[float]] = {}
         brightness = 0.0
@@ -72,9 +71,9 @@ def measure(program: Program = None, seconds: Seconds = 30.0, seeds: Seeds = 1) 
                 brightness = float(image.mean()) / level - 1.0
         ours, chosen = [], []
         for seed in range(seeds):
-            image, used, facts = _ours(problem, "auto", seconds, seed)
-            ours.append(error(image, halves) * used / seconds)
-            chosen.append(str(facts["chosen"]))
+            passes = Passes.warm(problem, "auto", seed).until(seconds)
+            ours.append(error(passes.mean(), halves) * passes.seconds / seconds)
+            chosen.append(str(passes.result().metadata["chosen"]))
         ratio = float(np.median(ours)) / min(theirs.values())
         cells = [f"{value:.3g}" for value in (*theirs.values(), np.median(ours))]
         console.print(f"{light}: {', '.join(cells)}", style="dim")
@@ -157,28 +156,3 @@ def _colours(path: Path) -> np.ndarray:
     pixels = np.frombuffer(path.read_bytes()[-4 * _SIZE[0] * _SIZE[1] :], np.uint8).reshape(*_SIZE[::-1], 4)
     mantissa, exponent = pixels[..., :3].astype(np.float32), pixels[..., 3:].astype(np.int32)
     return np.where(mantissa > 0, np.ldexp(mantissa + 0.5, exponent - 136), 0.0).astype(np.float32)
-
-
-def _ours(
-    problem: Any, name: str, seconds: float, seed: int, **settings: Any
-) -> tuple[np.ndarray, float, dict[str, Any]]:
-    """(picture, CPU seconds that it took, its metadata); kernels are compiled before."""
-    cls = methods.get(name)
-
-    def begun(seed: int) -> Replica:
-        estimator = cls(cls.Settings(max_depth=problem.max_depth, **settings))
-        estimator.prepare(problem, seed)
-        return Replica(estimator, seed)
-
-    warm = begun(seed + (1 << 20))
-    for iteration in range(WARM_PASSES.get(name, 1)):
-        warm.step(iteration)
-    start = time.process_time()
-    replica, passes = begun(seed), 0
-    total: Measurement | None = None
-    while time.process_time() - start < seconds:
-        made = replica.step(passes)
-        total, passes = made if total is None else total + made, passes + 1
-    used = time.process_time() - start
-    assert total is not None
-    return total.mean().astype(np.float32), used, replica.develop(total).metadata

@@ -21,7 +21,7 @@ import numpy as np
 import typer
 
 from etendue import film, methods, scene
-from etendue.core import RELATIVE_EPSILON, Measurement, Replica
+from etendue.core import RELATIVE_EPSILON, Measurement, Replica, Result
 from etendue.methods.auto import FIXED, Auto, AutoSettings, describe
 from etendue.scene import scene_xml
 from etendue.transport import Candidate
@@ -135,22 +135,59 @@ def _rows(out: Path, name: str, size: Sequence[int], marks: Sequence[float]) -> 
     return [row for row in rows if (row["scene"], row["size"], row["marks"]) == (name, list(size), list(marks))]
 
 
+class Passes:
+    """Passes of a method: their sum, their number, and the CPU seconds of all threads, preparation included."""
+
+    def __init__(self, problem: Any, name: str, seed: int, **settings: Any) -> None:
+        start = time.process_time()
+        method = methods.get(name)
+        estimator = method(method.Settings(max_depth=problem.max_depth, **settings))
+        estimator.prepare(problem, seed)
+        self._replica, self.count = Replica(estimator, seed), 0
+        self._total: Measurement | None = None
+        self.seconds = time.process_time() - start
+
+    @classmethod
+    def warm(cls, problem: Any, name: str, seed: int, **settings: Any) -> Passes:
+        """None yet, whose kernels others have compiled."""
+        before = cls(problem, name, seed + _WARM_UP, **settings)
+        for _ in range(WARM_PASSES.get(name, 1)):
+            before.add()
+        return cls(problem, name, seed, **settings)
+
+    def add(self) -> float:
+        """One more; returns its CPU seconds."""
+        start = time.process_time()
+        made = self._replica.step(self.count)
+        self._total = made if self._total is None else self._total + made
+        self.count += 1
+        spent = time.process_time() - start
+        self.seconds += spent
+        return spent
+
+    def until(self, seconds: float) -> Passes:
+        """As many as so many CPU seconds need."""
+        while self.seconds < seconds:
+            self.add()
+        return self
+
+    def mean(self) -> np.ndarray:
+        """The picture without re-weighting, which only some methods have on."""
+        assert self._total is not None
+        return self._total.mean().astype(np.float32)
+
+    def result(self) -> Result:
+        """What a user would get."""
+        assert self._total is not None
+        return self._replica.develop(self._total)
+
+
 class _Run:
     """A method under way."""
 
     def __init__(self, problem: Any, name: str, seed: int) -> None:
-        method = methods.get(name)
-        estimator = method(method.Settings(max_depth=problem.max_depth))
-        estimator.prepare(problem, seed + _WARM_UP)
-        warm = Replica(estimator, seed + _WARM_UP)
-        for iteration in range(WARM_PASSES.get(name, 1)):
-            warm.step(iteration)
-        start = time.process_time()
-        estimator = method(method.Settings(max_depth=problem.max_depth))
-        estimator.prepare(problem, seed)
-        self.name, self._replica, self._passes = name, Replica(estimator, seed), 0
-        self._total: Measurement | None = None
-        self.seconds = time.process_time() - start
+        self.name, self._made = name, Passes.warm(problem, name, seed)
+        self.seconds, self._passes = self._made.seconds, 0
         self.found: list[dict[str, Any]] = []
 
     def go_on(self, marks: Sequence[float], halves: Sequence[np.ndarray]) -> None:
@@ -165,16 +202,11 @@ class _Run:
 
     def _pass(self) -> float:
         """A pass; returns its CPU seconds."""
-        start = time.process_time()
-        made = self._replica.step(self._passes)
-        self._total = made if self._total is None else self._total + made
-        return time.process_time() - start
+        return self._made.add()
 
     def _picture(self) -> tuple[np.ndarray, str]:
-        """(mean of the passes so far, without re-weighting, which only some methods have on; what was chosen)."""
-        assert self._total is not None
-        result = self._replica.develop(self._total)
-        return self._total.mean().astype(np.float32), result.metadata.get("chosen", self.name)
+        """(mean of the passes so far; what was chosen)."""
+        return self._made.mean(), self._made.result().metadata.get("chosen", self.name)
 
 
 class _RunBefore(_Run):
@@ -247,16 +279,8 @@ def _halves(name: str, source: Any, size: tuple[int, int], seconds: float, out: 
         console.print(f"reference of {name} by {method}, {2 * seconds:g} s", style="dim")
         pictures = []
         for half in range(2):
-            problem = scene.load(source, size=size)
-            cls = methods.get(method)
-            estimator = cls(cls.Settings(max_depth=problem.max_depth, **settings))
-            estimator.prepare(problem, 1000 + half)
-            replica, total, passes, start = Replica(estimator, 1000 + half), None, 0, time.process_time()
-            while time.process_time() - start < seconds:
-                made = replica.step(passes)
-                total, passes = made if total is None else total + made, passes + 1
-            assert total is not None
-            pictures.append(replica.develop(total).image)
+            passes = Passes(scene.load(source, size=size), method, 1000 + half, **settings)
+            pictures.append(passes.until(seconds).result().image)
         np.savez(path, *pictures)
     with np.load(path) as found:
         return [found[key] for key in found.files]

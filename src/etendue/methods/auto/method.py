@@ -74,10 +74,12 @@ FIXED: dict[str, Candidate] = {
     "vcm": Candidate(0.5, 1, True),
 }
 #: Seconds of a run below which nothing is learned, and seconds more for each kind of material, which all make kernels
-#: larger, and may have to be compiled.
-_LEAST, _PER_KIND = 6.0, 1.5
-#: The same of a run below which no light paths are traced if ``path`` finds all light, too.
-_HASTY, _HASTY_PER_KIND = 1.0, 0.6
+#: larger, and may have to be compiled. At 10 s, learning gains most in rooms lit from other rooms, and loses up to half
+#: as much again where caustics are all of the light.
+_LEAST, _PER_KIND = 5.0, 1.0
+#: The same of a run below which no light paths are traced if ``path`` finds all light, too; and seconds more where that
+#: depends on the noise of path tracing, which takes kernels as well.
+_HASTY, _HASTY_PER_KIND, _TESTING = 0.2, 0.33, 0.5
 #: Noise of path tracing above which light paths pay.
 _NOISY = 5.0
 #: Camera paths of a run up to which it counts as one of no time: its kernels would take longer than its passes.
@@ -469,9 +471,10 @@ class Auto(Carrying, ImageMethod):
             return counts
         if is_specular and self.lights.has_delta:
             return counts  # for caustics that paths from the camera never find
-        if seconds < _HASTY + _HASTY_PER_KIND * kinds or not self.lights.has_area:
+        spare = seconds - _HASTY - _HASTY_PER_KIND * kinds
+        if spare < 0.0 or not self.lights.has_area:
             return _NONE
-        return counts if is_specular or self._noise() > _NOISY else _NONE
+        return counts if is_specular or (spare >= _TESTING and self._noise() > _NOISY) else _NONE
 
     def _noise(self) -> float:
         """The noise of passes of path tracing."""
