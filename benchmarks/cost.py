@@ -13,7 +13,7 @@ import typer
 
 from etendue import methods, scene
 from etendue.cli.options import parse_pairs
-from etendue.core import Replica
+from etendue.core import Replica, kernel_target
 from etendue.core.kernels import use_gathers
 
 from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
@@ -108,8 +108,9 @@ def measure(
             bars[label] = BARS.get(variant.method) if stated else None
     times = interleaved(tasks, rounds, warm_up)
 
+    processor = f", {kernel_target().split(',')[0]}" if kernel_target() else ""  # the ratios depend on it
     record = Record(
-        f"Cost of a pass, {source}, {size[0]}x{size[1]}, depth {depth}",
+        f"Cost of a pass, {source}, {size[0]}x{size[1]}, depth {depth}{processor}",
         ("", "wall s", "cpu s", "wall ratio", "cpu ratio", "bar", *(("to the method without",) if plain else ())),
     )
     for name, clocks in times.items():

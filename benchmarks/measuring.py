@@ -149,11 +149,13 @@ def software(variant: str) -> str:
     """Versions that a figure depends on."""
     import drjit as dr
 
+    from etendue.core import kernel_target
+
     names = [f"{name} {metadata.version(name)}" for name in ("etendue", "mitsuba", "drjit")]
     if variant.startswith("cuda"):
         names.insert(0, gpu())
     elif variant.startswith("llvm"):
-        names.append("LLVM " + ".".join(str(v) for v in dr.detail.llvm_version()))
+        names.append(f"LLVM {'.'.join(str(v) for v in dr.detail.llvm_version())} for {kernel_target()}")
     names.append(f"Python {platform.python_version()}")
     return ", ".join([variant, *names])
 

@@ -3,6 +3,8 @@ launched in small blocks."""
 
 from __future__ import annotations
 
+import re
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -79,7 +81,11 @@ def test_kernels_that_are_not_optimised_are_others_with_the_same_numbers(chosen)
         dr.kernel_history_clear()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             pictures.append(np.array(dr.sin(x) * dr.exp(-x) + dr.fma(x, x, 1.0)))
-            known.append([kernel["hash"] for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT])
+            made = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+        known.append([kernel["hash"] for kernel in made])
+        for kernel in made:  # an attribute for LLVM, and no longer part of a name
+            attributes = [line for line in kernel["ir"].getvalue().splitlines() if line.startswith("attributes")]
+            assert attributes and any(re.search(r'" optnone ', line) for line in attributes) is not wanted
     assert known[0] == known[2] != known[1] == known[3]
     for picture in pictures[1:]:
         np.testing.assert_allclose(picture, pictures[0], rtol=1e-6)
@@ -92,6 +98,7 @@ def test_gathers_and_optimisation_are_chosen_apart(chosen, core):
     assert not chosen()
     kernels.use_gathers()
     assert (chosen(), core.features()) == (False, without)
+    assert kernels.kernel_target() == f"{core.processor().decode().split(chr(34))[0]}, {core.width()} lanes"
     with kernels.own_kernels(optimise=False):
         assert not chosen()
     assert not chosen()

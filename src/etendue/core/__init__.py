@@ -27,7 +27,11 @@ from .errors import (
 from .extras import library as library, sparse as sparse
 from .frozen import Frozen as Frozen
 from .ingredients import Ingredients as Ingredients, numbers_for_json as numbers_for_json
-from .kernels import optimise_kernels as optimise_kernels, own_kernels as own_kernels
+from .kernels import (
+    kernel_target as kernel_target,
+    optimise_kernels as optimise_kernels,
+    own_kernels as own_kernels,
+)
 from .lazy import on_use as on_use
 from .log import logger as logger
 from .measurement import (

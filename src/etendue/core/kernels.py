@@ -82,6 +82,13 @@ def optimise_kernels(wanted: bool | None = True) -> bool:
     return own == plain
 
 
+def kernel_target() -> str:
+    """The processor that LLVM compiles kernels for, and the lanes of its vectors; empty under other variants."""
+    core = _core()
+    name = (core.processor() or b"").decode().removesuffix(_PLAIN) if core else ""
+    return f"{name}, {core.width()} lanes" if core and name else ""
+
+
 @contextmanager
 def own_kernels(optimise: bool = True) -> Iterator[None]:
     """What a block, or a function that this decorates, chooses by :func:`optimise_kernels` ends with it; ``optimise``
