@@ -20,13 +20,13 @@ import mitsuba as mi
 import numpy as np
 import typer
 
-from etendue import film, methods, scene
+from etendue import methods, scene
 from etendue.core import RELATIVE_EPSILON, Measurement, Replica, Result
 from etendue.methods.auto import FIXED, Auto, AutoSettings, describe
 from etendue.scene import scene_xml
 from etendue.transport import Candidate
 
-from .choice import scaled_size, sources
+from .choice import error, scaled_size, sources
 from .earlier import Earlier, revision
 from .measuring import Record, console, verdict
 from .options import Methods, Names, Pixels, Seeds
@@ -149,7 +149,7 @@ class Passes:
 
     @classmethod
     def warm(cls, problem: Any, name: str, seed: int, **settings: Any) -> Passes:
-        """None yet, whose kernels others have compiled."""
+        """No passes yet, of a method whose kernels are compiled."""
         before = cls(problem, name, seed + _WARM_UP, **settings)
         for _ in range(WARM_PASSES.get(name, 1)):
             before.add()
@@ -197,8 +197,8 @@ class _Run:
         for mark in [mark for mark in marks[len(self.found) :] if mark <= self.seconds]:
             image, chosen = self._picture()
             # The error of the last pass's picture, brought to the time of the mark.
-            error = _error(image, halves) * self.seconds / mark
-            self.found.append({"error": error, "seconds": self.seconds, "passes": self._passes, "chosen": chosen})
+            reached = max(error(image, halves), 1e-9) * self.seconds / mark
+            self.found.append({"error": reached, "seconds": self.seconds, "passes": self._passes, "chosen": chosen})
 
     def _pass(self) -> float:
         """A pass; returns its CPU seconds."""
@@ -284,13 +284,6 @@ def _halves(name: str, source: Any, size: tuple[int, int], seconds: float, out: 
         np.savez(path, *pictures)
     with np.load(path) as found:
         return [found[key] for key in found.files]
-
-
-def _error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
-    """Error against the mean of the halves, less that of the mean itself, which is a quarter of their difference's."""
-    mean = (halves[0] + halves[1]) / 2
-    own = film.relative_mse(halves[0], mean, trim=_TRIM)
-    return max(film.relative_mse(image, mean, trim=_TRIM) - own, 1e-9)
 
 
 def _table(
