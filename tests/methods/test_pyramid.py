@@ -113,6 +113,7 @@ def test_merges_alone_agree_with_next_event_and_vanish_with_the_radius():
     shares = []
     for radius in (0.04, 0.01):
         settings = {"radius": radius, "radius_unit": "absolute", "alpha": 1.0, "eta_discount": 0.01, "pyramid_depth": 3}
+        settings["diffuse_photons"] = 1.0
         found = layers(still(), "vcm", light_paths=2.0, direct_light="all", **settings)
         for edges, precision in ((2, 0.03), (3, 0.06)):
             direct = found[Technique(False, 1, edges).layer(weighted=False)].mean()

@@ -54,12 +54,13 @@ def floor_and_wall() -> Any:
 @dataclass
 class Counts:
     """Samples of each technique for a camera path; zero: not used. ``splat``: light paths for a pixel's one camera
-    path, ``merge``: light paths times the area of the disc."""
+    path, ``merge``: light paths times the area of the disc, ``diffuse``: factor on it beyond a diffuse surface."""
 
     next_event: int = 1
     connection: int = 1
     splat: float = LIGHT_PATHS * SIZE[0] * SIZE[1]
     merge: float = DISCOUNT * np.pi * RADIUS**2 * LIGHT_PATHS * SIZE[0] * SIZE[1] * SAMPLES
+    diffuse: float = 0.1
     merge_first: bool = True
     direct: bool = True
     beta: int = 1
@@ -143,7 +144,7 @@ def by_quadrature(
         Technique(False, 1, 3): counts.next_event * by_camera * there,
         Technique(False, 2, 2): counts.connection * chance(x1, x2) * by_camera * by_light,
         Technique(False, 3, 1): counts.splat * by_light * back,
-        Technique(True, 3, 2): counts.merge * counts.merge_first * by_camera * by_light * back,
+        Technique(True, 3, 2): counts.merge * counts.diffuse * counts.merge_first * by_camera * by_light * back,
         Technique(True, 2, 3): counts.merge * counts.direct * by_camera * there * by_light,
     }
     radiance = FLOOR * WALL / np.pi**2 * cos1 * cos2 / square12 * cos / square
@@ -155,7 +156,7 @@ NONE: Any = {"next_event": 0, "connection": 0, "splat": 0.0}
 #: One row a set of techniques: method, settings, the counts that they mean.
 ROWS: dict[str, tuple[str, dict[str, Any], Counts]] = {
     "bpt": ("bpt", {"light_source": "path"}, Counts(merge=0.0, direct=False)),
-    "bpm": ("bpm", {"eta_discount": DISCOUNT}, Counts(**NONE)),
+    "bpm": ("bpm", {"eta_discount": DISCOUNT}, Counts(diffuse=1.0, **NONE)),
     "vcm": ("vcm", {"connections": 1}, Counts(direct=False)),
     "vcm direct": ("vcm", {"connections": 1, "direct_light": "all"}, Counts()),
     "vcm late power": (

@@ -33,6 +33,9 @@ SPLAT_FILTER = 6  #: 2 numbers, light sub-paths only
 #: 1 number, light sub-paths only: roulette before a splat's shadow ray.
 SPLAT_SHADOW = 8
 
+#: 1 number, light sub-paths only: whether the vertex is merged, if not all are.
+MERGED = 9
+
 #: 2 numbers, camera sub-paths only: whether a line to the light hit, and to the light point, is kept.
 KEEP = 5
 

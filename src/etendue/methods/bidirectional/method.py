@@ -120,6 +120,7 @@ class Bidirectional(Carrying, ImageMethod):
             merge=s.merging,
             merge_first=s.merge_first,
             direct=s.all_direct(self.lights.count),
+            diffuse=s.diffuse_photons if s.connecting and s.connections else 1.0,
             beta=2 if s.heuristic == "power" else 1,
         )
         if s.connecting and not self.camera.can_splat:
@@ -439,6 +440,8 @@ class Bidirectional(Carrying, ImageMethod):
         positions, kind, held = vertices.positions(in_media)
         if self.techniques.leaves_direct:
             held &= kind != mi.UInt32(Kind.DIRECT)
+        if self.techniques.thins:
+            held &= kind != mi.UInt32(Kind.UNMERGED)
         discs = [disc * factor for factor in self._factors]
         reach = [self._balls.radius(radius) for radius in discs] if in_media else discs
         depth = self._balls.thickness if in_media else 1.0

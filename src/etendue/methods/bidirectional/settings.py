@@ -84,6 +84,13 @@ class BidirectionalSettings(OpeningSettings, CameraSettings):
         above=0.0,
         maximum=1.0,
     )
+    diffuse_photons: float = setting(
+        0.1,
+        "share of the photons that are merged of those that a wide scattering has sent, as by a diffuse surface, whose "
+        "light connections find, too; 1: all are merged",
+        above=0.0,
+        maximum=1.0,
+    )
     shadow_roulette: float = setting(
         0.1,
         "share of the picture's mean radiance below which Russian roulette decides whether the shadow ray of a "

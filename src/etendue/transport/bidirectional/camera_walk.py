@@ -20,12 +20,12 @@ from ..scattering import Evaluated
 from ..vertex import WalkVertex
 from ..walk import ones
 from .cache import LightCache, Pick
-from .linear import Carried, Linear
-from .mis import Weights
+from .kinds import component_of
+from .mis import Left, Weights
 from .moments import Moments, Sums
 from .photons import Gather, weigh as weigh_photon
 from .sinks import CameraSink, Contribution
-from .vertices import Kind, LightVertex
+from .vertices import LightVertex
 from .walk import BidirectionalPath, BidirectionalWalk
 
 
@@ -37,7 +37,8 @@ class _State(BidirectionalPath):
     layers: dict[str, mi.Spectrum]  #: technique family -> radiance
     worth: mi.Float | None  #: factor on contributions to its pixel in the training of a guide; None without
     sums: Sums | None  #: of ``moments``
-    left: mi.Float | Linear | None  #: :meth:`Mis.left_out` at the vertex that the edge leaves
+    #: :meth:`Mis.left_out` at the vertex that the edge leaves, and from its end on, what d_vc still lacks.
+    left: Left | None
 
 
 @dataclass
@@ -124,10 +125,13 @@ class CameraWalk(BidirectionalWalk):
         s.d_vcm, s.d_vc = self.passed(vertex, *on_edge)
         d_vcm, d_vc = self.mis.hit(s.d_vcm, s.d_vc, dr.square(vertex.distance), cos)
         s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
-        complete = s.d_vc if s.left is None else self.mis.completed(s.d_vc, s.left, cos, vertex.passing)
-        self._emission(s, vertex, complete)
+        left = s.left
+        if left is not None:
+            s.left = self.mis.landed(left, dr.select(vertex.valid, cos, 1.0), vertex.passing)
+        self._emission(s, vertex)
         s.active &= vertex.valid
-        s.d_vc = complete
+        if s.left is not None and s.left.splat is not None:
+            s.d_vc, s.left = s.d_vc + s.left.splat, Left(s.left.merge, None)
 
         place, ratio, share = None, None, self.share(vertex)
         if self.choice is not None:
@@ -172,21 +176,22 @@ class CameraWalk(BidirectionalWalk):
 
         # ---- Advance
         sampled, mis = (scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta), self.mis.at(share)
-        if s.left is not None:
-            left = mis.left_out(self.number(s), s.d_vcm, scattered.cos, scattered.pdf, scattered.is_delta)
-            s.left = self.keep_if_null(scattered, s.left, left)
-        s.d_vcm, s.d_vc = mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
+        d_vc = mis.completed(s.d_vc, s.left, scattered.reverse_pdf, scattered.is_delta)
+        if left is not None:
+            new = mis.left_out(self.number(s), s.d_vcm, scattered.cos, scattered.pdf, scattered.is_delta)
+            s.left = self.keep_if_null(scattered, left, new)
+        s.d_vcm, s.d_vc = mis.scatter_camera(self.number(s), s.d_vcm, d_vc, *sampled)
         self.leave(s, vertex, scattered, source, on_edge, place=place)
         return s
 
-    def _emission(self, s: _State, vertex: WalkVertex, complete: Carried) -> None:
-        """s = 0 [Georgiev 2012b, eq. 43]. ``complete``: d_vc for lights that next event does not find."""
+    def _emission(self, s: _State, vertex: WalkVertex) -> None:
+        """s = 0 [Georgiev 2012b, eq. 43]."""
         hit = self.emission(s, vertex)
         if not self.seen:
             hit.active &= self.number(s) > 1
-        number, d_vc = self.number(s), s.d_vc
-        if s.left is not None:
-            d_vc = dr.select(hit.area_density > 0.0, d_vc, complete)
+        number, d_vc = self.number(s), self.mis.completed(s.d_vc, s.left)
+        if self.mis.techniques.leaves_direct:
+            d_vc = dr.select(hit.area_density > 0.0, s.d_vc, d_vc)
         weights = self.mis.emission_weight(number, s.d_vcm, d_vc, hit.area_density, hit.emission_density)
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
@@ -207,7 +212,7 @@ class CameraWalk(BidirectionalWalk):
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
         number, cos = self.number(s), vertex.cos(light.direction)
         hit_pdf = dr.select(light.is_delta, 0.0, f.pdf)
-        count = self.mis.techniques.next_event
+        count, d_vc = self.mis.techniques.next_event, self.mis.completed(s.d_vc, s.left, f.reverse_pdf)
         alone = s.throughput * f.value * light.radiance
 
         def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Spectrum]]:
@@ -215,7 +220,7 @@ class CameraWalk(BidirectionalWalk):
             if passing is not None:
                 to_light, to_vertex = to_light * passing.to_end, to_vertex * passing.to_start
             weights = self.mis.at(share).next_event_weight(
-                number, s.d_vcm, s.d_vc, cos, to_light, f.reverse_pdf, light.pdf, to_vertex
+                number, s.d_vcm, d_vc, cos, to_light, f.reverse_pdf, light.pdf, to_vertex
             )
             return weights, [alone * (weight / count) for weight in weights]
 
@@ -288,6 +293,7 @@ class CameraWalk(BidirectionalWalk):
         assert self.cache is not None
         other, number, pick = joined.vertex, self.number(s), joined.pick
         f = vertex.evaluate(joined.direction, joined.active)
+        d_vc = self.mis.completed(s.d_vc, s.left, f.reverse_pdf)
         active = joined.active & ~dr.all(f.value == 0.0)
         f_light = other.evaluate(-joined.direction, active)
         cos = vertex.cos(joined.direction)
@@ -306,7 +312,7 @@ class CameraWalk(BidirectionalWalk):
                 to_light, to_camera = to_light * passing.to_end, to_camera * passing.to_start
             weights = self.mis.at(share).connection_weight(
                 number,
-                (s.d_vcm, s.d_vc),
+                (s.d_vcm, d_vc),
                 (other.d_vcm, other.d_vc),
                 cos,
                 other.cos(other.direction),
@@ -314,8 +320,9 @@ class CameraWalk(BidirectionalWalk):
                 to_camera,
                 f.reverse_pdf,
                 f_light.reverse_pdf,
+                f_light.pdf,
                 pick.ratio if pick else None,
-                other.kind == mi.UInt32(Kind.DIRECT),
+                self.mis.merged(other.kind),
                 self.mis.at(self.share(other)),
             )
             return weights, [alone * weight for weight in weights]
@@ -349,7 +356,7 @@ class CameraWalk(BidirectionalWalk):
                 sums.photons = sums.photons + 1
                 self.moments.add(sums, "merge", s.throughput * values[0] * factors[0], weights.ratios, active)
             if s.seen is not None:
-                values[:1] = by_component(values[0], photons.component(photon, active))
+                values[:1] = by_component(values[0], component_of(photons.kind(photon, active)))
             return [total + value for total, value in zip(totals, values, strict=True)], sums
 
         found = self._blank(1, parts), s.sums
@@ -375,9 +382,11 @@ class CameraWalk(BidirectionalWalk):
         squares, factors = gather.at(area)
         p, position = photons.read(photon, active), photons.position(photon, active)[0]
         f = vertex.evaluate(p.direction, active)
-        weights = self.mis.at(share).merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
+        merged = self.mis.merged(photons.kind(photon, active)) if self.mis.techniques.thins else None
+        ends = (s.d_vcm, self.mis.completed(s.d_vc, s.left, f.reverse_pdf)), (p.d_vcm, p.d_vc)
+        weights = self.mis.at(share).merge_weight(*ends, f.pdf, f.reverse_pdf, merged)
         distance_squared, weight = weigh_photon(vertex, position, p, gather.in_media)
-        value = p.fluence * f.value * weight
+        value = p.fluence * f.value * (weight if merged is None else weight / merged)
         inside = [distance_squared <= square for square in squares]
         if self.pyramid is not None:
             alone = value * s.throughput * factors[0]

@@ -21,11 +21,12 @@ from ..rays import Edge
 from ..scattering import Evaluated, Proposal, Scattered, scatter_light
 from ..vertex import WalkVertex
 from ..walk import ones
+from .kinds import Kind, after
 from .linear import Carried
 from .mis import Weights
 from .moments import Moments
 from .sinks import SplatSink
-from .vertices import Kind, LightVertices
+from .vertices import LightVertices
 from .walk import BidirectionalPath, BidirectionalWalk
 
 
@@ -128,7 +129,8 @@ class LightWalk(BidirectionalWalk):
         if vertices is not None:
             mis, fluence = (s.d_vcm, s.d_vc), self.mis.fluence(light_cos)
             kept = smooth if vertices.connected else used
-            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, kept, self.number(s), place)
+            kind = self._drawn(s.kind, source.decide(vertex.number, dim.MERGED))
+            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, kind, kept, self.number(s), place)
             s.stored += ones(kept)
 
         # ---- Splat and scatter. The next vertex is useful only if the path may have two more edges
@@ -143,6 +145,13 @@ class LightWalk(BidirectionalWalk):
         # ---- Advance
         self.go_on(s, vertex, scattered, source, on_edge, light_cos, place)
         return s
+
+    def _drawn(self, kind: mi.UInt32, u: mi.Float) -> mi.UInt32:
+        """The kind to store, with those vertices marked that are not to be merged."""
+        if not self.mis.techniques.thins:
+            return kind
+        unmerged = (kind == mi.UInt32(Kind.DIFFUSE)) & (u >= self.mis.techniques.diffuse)
+        return dr.select(unmerged, mi.UInt32(Kind.UNMERGED), kind)
 
     def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[Carried, Carried], mi.Float]:
         """Convert ``d_vcm`` and ``d_vc`` to area at the end of an edge: (the two before, cosine at which light
@@ -176,9 +185,12 @@ class LightWalk(BidirectionalWalk):
     ) -> None:
         """Leave a vertex of the class ``place``; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-        direct, mis = s.kind == mi.UInt32(Kind.DIRECT), self.mis.at(self.share(vertex))
-        s.d_vcm, s.d_vc = mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, direct)
-        s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
+        mis = self.mis.at(self.share(vertex))
+        s.d_vcm, s.d_vc = mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, mis.merged(s.kind))
+        kind = after_light_scattering(s.kind, scattered.is_delta)
+        if mis.techniques.thins:
+            kind = after(s.kind, scattered.pdf, scattered.is_delta)
+        s.kind = self.keep_if_null(scattered, s.kind, kind)
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
@@ -204,7 +216,9 @@ class LightWalk(BidirectionalWalk):
 
         def weigh(passing: Passing | None) -> tuple[Weights, list[mi.Spectrum]]:
             density = area_pdf if passing is None else area_pdf * passing.to_start
-            weights = self.mis.at(self.share(vertex)).splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, density)
+            mis = self.mis.at(self.share(vertex))
+            ends = s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, density
+            weights = mis.splat_weight(*ends, mis.merged(s.kind) if mis.techniques.thins else None)
             return weights, [alone * (factor * weight) for weight in weights]
 
         # Splats are summed over paths, camera paths over samples: the threshold is scaled accordingly.

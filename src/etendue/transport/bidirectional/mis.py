@@ -23,6 +23,11 @@ Connections may prefer some light vertices to others. The count of a connection 
 light vertex's probability to that of a uniform choice, which depends on the two ends of its edge alone, so that every
 technique of a path has the same ratio for the same edge.
 
+Light that a wide scattering has sent is found by connections, too, and few of its light vertices are worth merging. At
+a vertex to which the one before scatters light with a density of at most ``kinds.WIDE``, the count of merges is
+therefore multiplied by ``techniques.diffuse``. The light walk knows that density, the camera walk one vertex later:
+what it adds to d_vc for merges waits until then (:class:`Left`).
+
 In participating media, densities are per volume at a vertex in a medium, and those of an edge include the probability
 of passing its media (:mod:`..flight`): wherever a density of an edge is used, it is multiplied by that of
 :class:`Passing`, and the cosine of a vertex in a medium is 1.
@@ -38,12 +43,14 @@ import copy
 import functools
 import operator
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from ..flight import Passing
+from .kinds import Kind, is_wide
 from .linear import Carried, Counts, Linear
 from .techniques import Techniques
 
@@ -60,6 +67,14 @@ class Weights(list[Any]):
     def __init__(self, weights: Sequence[mi.Float], ratios: Sequence[mi.Float] = ()) -> None:
         super().__init__(weights)
         self.ratios = ratios
+
+
+@dataclass
+class Left:
+    """Terms of d_vc of a camera sub-path that depend on its next vertex."""
+
+    merge: mi.Float | Linear | None  #: of merging at the last vertex
+    splat: mi.Float | Linear | None  #: of the splat of the first vertex
 
 
 class Mis:
@@ -215,19 +230,32 @@ class Mis:
         bounded = dr.rcp(dr.maximum(cos, GRAZING))
         return dr.select(cos >= GRAZING, bounded, 0.0) if self.techniques.connects else bounded
 
+    def merged(self, kind: mi.UInt32) -> mi.Float | None:
+        """Share of the light vertices of a :class:`Kind` that are merged; None: all of any."""
+        if not self.techniques.waits:
+            return None
+        diffuse = (kind == mi.UInt32(Kind.DIFFUSE)) | (kind == mi.UInt32(Kind.UNMERGED))
+        share = dr.select(diffuse, mi.Float(self.techniques.diffuse), 1.0)
+        return dr.select(kind == mi.UInt32(Kind.DIRECT), 0.0, share) if self.techniques.leaves_direct else share
+
+    def merged_after(self, pdf: mi.Float, is_delta: mi.Bool | bool = False) -> mi.Float | None:
+        """Share of the light vertices that are merged where light arrives from a scattering of this density; None:
+        all."""
+        if not self.techniques.thins:
+            return None
+        return dr.select(is_wide(pdf, is_delta), mi.Float(self.techniques.diffuse), 1.0)
+
     def _merge_area(
-        self, cos: mi.Float, depth: mi.UInt32 | None = None, direct: mi.Bool | None = None
+        self, cos: mi.Float, depth: mi.UInt32 | None = None, merged: mi.Float | None = None
     ) -> Carried | None:
-        """``eta_vm`` where a vertex at which light arrives at this geometric cosine can be merged, else 0; None without
-        merging. ``depth``: of a camera vertex; ``direct``: see :meth:`scatter_light`."""
+        """``eta_vm`` of a vertex at which light arrives at this geometric cosine, 0 where it cannot be merged; None
+        without merging. ``depth``: of a camera vertex; ``merged``: share of the light vertices there that are."""
         if not self.techniques.merge:
             return None
         mergeable = self.fluence(cos) > 0.0
         if depth is not None and not self.techniques.merge_first:
             mergeable &= depth != 1
-        if direct is not None and self.techniques.leaves_direct:
-            mergeable &= ~direct
-        return self._eta * dr.select(mergeable, mi.Float(1.0), mi.Float(0.0))
+        return self._eta * dr.select(mergeable, mi.Float(1.0) if merged is None else self.power(merged), 0.0)
 
     def _sum(self, eta: Carried | None, d_vcm: Carried, reverse_pdf: mi.Float, d_vc: Carried) -> Carried:
         """Sum of the densities, over that of the sub-path, of the techniques that connect or merge at the sub-path's
@@ -246,12 +274,11 @@ class Mis:
         pdf: mi.Float,
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
-        direct: mi.Bool | None = None,
+        merged: mi.Float | None = None,
     ) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]. ``light_cos``
-        and ``cos``: geometric cosines of the incoming and of the sampled direction; ``direct``: whether it is the first
-        vertex of light that next event finds."""
-        total = self._sum(self._merge_area(light_cos, direct=direct), d_vcm, reverse_pdf, d_vc)
+        and ``cos``: geometric cosines of the incoming and of the sampled direction; ``merged``: see :meth:`merged`."""
+        total = self._sum(self._merge_area(light_cos, merged=merged), d_vcm, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, self._count(self.techniques.connection))
 
     def scatter_camera(
@@ -264,9 +291,10 @@ class Mis:
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
     ) -> tuple[Carried, Carried]:
-        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; ``d_vcm`` is that of :meth:`joined`. If direct
-        light is left to next event, d_vc is that of a path that ends on a light; :meth:`left_out` is the rest."""
-        total = self._sum(*self._but_direct(depth, d_vcm, cos), reverse_pdf, d_vc)
+        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; ``d_vcm`` is that of :meth:`joined`. What
+        depends on the next vertex is :meth:`left_out`."""
+        area, on_edge = self._but_direct(depth, d_vcm, cos)
+        total = self._sum(None if self.techniques.waits else area, on_edge, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
 
     def _but_direct(self, depth: mi.UInt32, d_vcm: Carried, cos: mi.Float) -> tuple[Carried | None, Carried]:
@@ -275,22 +303,40 @@ class Mis:
             return None, dr.select(depth == 1, d_vcm * 0.0, d_vcm)
         return self._merge_area(cos, depth), d_vcm
 
-    def nothing_left(self, lanes: int) -> Carried | None:
+    def nothing_left(self, lanes: int) -> Left | None:
         """What is left out at the sensor; None if nothing ever is."""
-        return self._start(dr.zeros(mi.Float, lanes)) if self.techniques.leaves_direct else None
+        if not self.techniques.waits:
+            return None
+        used = self.techniques.merge, self.techniques.leaves_direct
+        return Left(*(self._start(dr.zeros(mi.Float, lanes)) if on else None for on in used))
 
-    def left_out(self, depth: mi.UInt32, d_vcm: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool) -> Carried:
-        """What :meth:`scatter_camera` left out of d_vc: merge and splat of a vertex if the next one is on no light."""
-        area, splat = self._merge_area(cos, depth), dr.select(depth == 1, d_vcm, d_vcm * 0.0)
-        total = splat if area is None else splat + area
-        return dr.select(is_delta, total * 0.0, total * self.power(cos * dr.rcp(pdf)))
+    def left_out(self, depth: mi.UInt32, d_vcm: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool) -> Left:
+        """What :meth:`scatter_camera` left out of d_vc: the merge, and if direct light is left to next event, the
+        splat."""
+        area, scale = self._merge_area(cos, depth), dr.select(is_delta, 0.0, self.power(cos * dr.rcp(pdf)))
+        splat = dr.select(depth == 1, d_vcm, d_vcm * 0.0) * scale if self.techniques.leaves_direct else None
+        return Left(None if area is None else area * scale, splat)
 
-    def completed(self, d_vc: Carried, left: Carried, cos: mi.Float, passing: Passing | None = None) -> Carried:
-        """``d_vc`` after :meth:`passed` and :meth:`hit` with ``cos``, plus what was left out at the vertex before
-        (``left``)."""
-        if passing is not None:
-            left = self.passed(left, left, passing)[1]
-        return d_vc + left * dr.rcp(self.power(dr.maximum(cos, 1e-8)))
+    def landed(self, left: Left, cos: mi.Float, passing: Passing | None = None) -> Left:
+        """What was left out at the vertex before, after :meth:`passed` and :meth:`hit` with ``cos``."""
+        inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))
+
+        def land(term: Carried | None) -> Carried | None:
+            if term is not None and passing is not None:
+                term = self.passed(term, term, passing)[1]
+            return None if term is None else term * inverse
+
+        return Left(land(left.merge), land(left.splat))
+
+    def completed(
+        self, d_vc: Carried, left: Left | None, pdf: mi.Float | None = None, is_delta: mi.Bool | bool = False
+    ) -> Carried:
+        """``d_vc`` with what was left out at the vertex before (:meth:`landed`). ``pdf``: density of scattering light
+        to that vertex; None: all of its light vertices are merged."""
+        if left is not None and left.merge is not None:
+            merged = None if pdf is None else self.merged_after(pdf, is_delta)
+            d_vc = d_vc + (left.merge if merged is None else left.merge * self.power(merged))
+        return d_vc if left is None or left.splat is None else d_vc + left.splat
 
     def _scatter(
         self, total: Carried, d_vc: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool, count: float
@@ -357,29 +403,36 @@ class Mis:
         area_pdf_to_camera: mi.Float,
         reverse_pdf_camera: mi.Float,
         reverse_pdf_light: mi.Float,
+        light_pdf: mi.Float,
         ratio: mi.Float | None = None,
-        direct: mi.Bool | None = None,
+        merged: mi.Float | None = None,
         there: Mis | None = None,
     ) -> Weights:
         """Weights of the connection of two inner vertices [Georgiev 2012b, eq. 40, 41]. ``camera``, ``light``: their
-        (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them; ``ratio``: of
-        their edge, see :meth:`chosen`; ``direct``: of the light vertex, see :meth:`scatter_light`; ``there``: see
-        :meth:`at`, of the light vertex."""
-        eta = (there or self)._merge_area(light_cos, direct=direct)
+        (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them; ``light_pdf``:
+        solid-angle density of the light vertex's scattering; ``ratio``: of their edge, see :meth:`chosen`; ``merged``:
+        of the light vertex, see :meth:`merged`; ``there``: see :meth:`at`, of the light vertex."""
+        eta = (there or self)._merge_area(light_cos, merged=merged)
         by_light = self._sum(eta, light[0], reverse_pdf_light, light[1])
-        area = self._merge_area(camera_cos, depth)
+        area = self._merge_area(camera_cos, depth, self.merged_after(light_pdf))
         by_camera = self._sum(area, camera[0], reverse_pdf_camera, camera[1])
         others = self._at(by_light * self.power(area_pdf_to_light), by_camera * self.power(area_pdf_to_camera))
         times = 1.0 if ratio is None else self.power(ratio)
         return self._weights([counts.connection * times for counts in (*self._sets, *self.candidates)], others)
 
     def splat_weight(
-        self, d_vcm: Carried, d_vc: Carried, light_cos: mi.Float, reverse_pdf: mi.Float, camera_area_pdf: mi.Float
+        self,
+        d_vcm: Carried,
+        d_vc: Carried,
+        light_cos: mi.Float,
+        reverse_pdf: mi.Float,
+        camera_area_pdf: mi.Float,
+        merged: mi.Float | None = None,
     ) -> Weights:
         """Weights of a light vertex connected to the camera [Georgiev 2012b, eq. 46, 47]. ``light_cos``: geometric
         cosine at which light arrives at the vertex; ``camera_area_pdf``: area density of the vertex for a camera ray of
-        the pixel."""
-        eta = self._merge_area(light_cos) if self.techniques.merge_first else None
+        the pixel; ``merged``: see :meth:`merged`."""
+        eta = self._merge_area(light_cos, merged=merged) if self.techniques.merge_first else None
         by_light = self._sum(eta, d_vcm, reverse_pdf, d_vc)
         if not self.linear:
             return Weights([dr.rcp(1.0 + by_light * self.power(camera_area_pdf / self.paths_per_sample))])
@@ -392,15 +445,17 @@ class Mis:
         light: tuple[Carried, Carried],
         pdf: mi.Float,
         reverse_pdf: mi.Float,
+        merged: mi.Float | None = None,
     ) -> Weights:
         """Weights of a light vertex merged with a camera vertex [Georgiev 2012b, eq. 38, 39].
 
         ``pdf``, ``reverse_pdf``: densities of the camera vertex's BSDF for the direction that the light arrived from,
-        and for the opposite walk.
+        and for the opposite walk; ``merged``: of the light vertex, see :meth:`merged`.
         """
         by_light = self._sum(None, light[0], pdf, light[1])
         by_camera = self._sum(None, camera[0], reverse_pdf, camera[1])
         others = self._at(by_light, by_camera)
+        share = self._share if merged is None else self._share * self.power(merged)
         if not self.linear:
-            return Weights([dr.rcp(1.0 + others[0] / (self._sets[0].merge * self._share))])
-        return self._weights([counts.merge * self._share for counts in (*self._sets, *self.candidates)], others)
+            return Weights([dr.rcp(1.0 + others[0] / (self._sets[0].merge * share))])
+        return self._weights([counts.merge * share for counts in (*self._sets, *self.candidates)], others)

@@ -24,7 +24,6 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.density import HashGrid
-from etendue.film import Component
 
 from ..flight import mean
 from ..packing import unpacked_direction, unpacked_light, unpacked_normal
@@ -79,10 +78,10 @@ class Photons:
         assert self._owners is not None
         return dr.gather(mi.UInt32, self._owners, index, active)
 
-    def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """The ``film.Component`` of the photon's light to an eye that sees the surface."""
+    def kind(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The :class:`Kind` of the photon's light."""
         # As in `position`, so that both are one gather.
-        return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
+        return kind_of(dr.gather(mi.Vector4f, self._position, index, active).w)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
@@ -163,13 +162,17 @@ def depth_of(tag: mi.Float, bits: int) -> mi.UInt32:
     return dr.reinterpret_array(mi.UInt32, tag) & ((1 << bits) - 1)
 
 
-def component_of(tag: mi.Float) -> mi.UInt32:
-    """The ``film.Component`` by the kind of a vertex; that of a beam is DIRECT."""
-    return dr.maximum(dr.reinterpret_array(mi.UInt32, tag) >> 30, mi.UInt32(Component.DIRECT))
+#: Bits of a tag that hold the index of a vertex on its path, after 16 others; the kind has the rest.
+INDEX_BITS = 13
+
+
+def kind_of(tag: mi.Float) -> mi.UInt32:
+    """The :class:`Kind` of a vertex."""
+    return dr.reinterpret_array(mi.UInt32, tag) >> 16 + INDEX_BITS
 
 
 #: Bit of the index on a path in a tag that marks vertices whose light is of the hero alone, if there may be any.
-HERO_ALONE = 1 << 12
+HERO_ALONE = 1 << INDEX_BITS - 2
 
 
 def is_hero_alone(tag: mi.Float) -> mi.Bool:

@@ -308,6 +308,7 @@ class SingleTechnique:
             g.pdf * geometric * inverse,
             f.reverse_pdf,
             g.reverse_pdf,
+            g.pdf,
         )[0]
         by_join = _masked(eye.throughput * lit.throughput * f.value * g.value * (inverse * ratio), weight, joins)
 

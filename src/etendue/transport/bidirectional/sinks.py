@@ -11,6 +11,7 @@ import mitsuba as mi
 from etendue.film import COMPONENTS, REFLECTED, Component
 
 from ..camera import SplatPlace, Splats
+from .kinds import component_of
 from .pyramid import Pyramid
 from .techniques import Techniques
 
@@ -124,7 +125,7 @@ class SplatSink(Sink):
             finite &= dr.all(dr.isfinite(value))
         active = contribution.active & finite
         if self.components:
-            image = dr.maximum(kind, mi.UInt32(Component.DIRECT)) - int(Component.DIRECT)
+            image = component_of(kind) - int(Component.DIRECT)
             self.splats.add_to(image, place, contribution.weighted[0], active)
             self.splats.add(place, contribution.weighted[1:], active, first=len(REFLECTED))
         else:

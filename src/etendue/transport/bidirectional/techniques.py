@@ -16,6 +16,7 @@ class Techniques:
     merge: bool = True  #: a camera vertex is merged with stored light vertices around it
     merge_first: bool = True  #: merging at the first camera vertex, too
     direct: bool = True  #: also splats and merges of a light path's first vertex, where next event finds the light
+    diffuse: float = 1.0  #: share of the light vertices of :attr:`Kind.DIFFUSE` that are merged
     beta: int = 1  #: 1 balance heuristic, 2 power heuristic
 
     @property
@@ -27,3 +28,13 @@ class Techniques:
     def leaves_direct(self) -> bool:
         """Whether direct light that next event finds is neither splatted nor merged."""
         return not self.direct and self.next_event > 0
+
+    @property
+    def thins(self) -> bool:
+        """Whether some light vertices are drawn not to be merged."""
+        return self.merge and self.diffuse < 1.0
+
+    @property
+    def waits(self) -> bool:
+        """Whether what a camera vertex adds to the weights depends on the next vertex."""
+        return self.leaves_direct or self.thins

@@ -8,13 +8,11 @@ reading it takes twice the time.
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.film import Component
 from etendue.scene import Material, Media, hero_alone, is_spectral, materials
 
 from ..flight import mean
@@ -25,9 +23,11 @@ from ..visibility import Visibility
 from .linear import Carried, Linear
 from .photons import (
     HERO_ALONE,
+    INDEX_BITS,
     Photons,
     depth_of,
     is_hero_alone,
+    kind_of,
     number_of,
     weighting,
 )
@@ -39,7 +39,7 @@ _PHOTON_PACKETS = 3
 _DEPTH_BITS = 16
 _NUMBERED_DEPTH_BITS = 12
 #: Bit of an index on a path that marks vertices in media, if there may be any.
-_IN_MEDIUM = 1 << 13
+_IN_MEDIUM = 1 << INDEX_BITS - 1
 #: Paths whose vertices are numbered together.
 _BLOCK = 16
 
@@ -55,16 +55,6 @@ def needs_interaction(scene: mi.Scene) -> bool:
         or (isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Anisotropic))
         for node in materials(scene)
     )
-
-
-class Kind(enum.IntEnum):
-    """Kind of the light that arrives at a light vertex: its ``film.Component`` for an eye that sees the vertex. Light
-    directly from a beam, which next event cannot sample, is distinguished from other direct light."""
-
-    BEAM = 0
-    DIRECT = Component.DIRECT
-    CAUSTIC = Component.CAUSTIC
-    INDIRECT = Component.INDIRECT
 
 
 @dataclass(kw_only=True)
@@ -193,7 +183,7 @@ class LightVertices:
             index = index | dr.select(vertex.bsdf.in_medium, _IN_MEDIUM, mi.UInt32(0))
         if self._disperses:
             index = index | dr.select(hero_alone(si.wavelengths), HERO_ALONE, mi.UInt32(0))
-        tag = _as_float(depth | (index << 16) | (kind << 30))
+        tag = _as_float(depth | (index << 16) | (kind << 16 + INDEX_BITS))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         flux = throughput if self.connected else throughput * fluence
@@ -253,7 +243,7 @@ class LightVertices:
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         path = _as_uint(self._get(_PACKETS - 1, slot, held).y)
-        index = (_as_uint(self._get(0, slot, held).w) >> 16) & (0x3FFF & ~self._marks)
+        index = (_as_uint(self._get(0, slot, held).w) >> 16) & ((1 << INDEX_BITS) - 1 & ~self._marks)
         if by_path:
             number = dr.gather(mi.UInt32, self._start, path, held) + index
         else:
@@ -322,7 +312,7 @@ class LightVertices:
             number=number_of(position.w, self._depth_bits),
             path=_as_uint(owner.y),
             place=_as_uint(owner.w),
-            kind=_as_uint(position.w) >> 30,
+            kind=kind_of(position.w),
         )
 
     def _recompute(
@@ -349,7 +339,7 @@ class LightVertices:
         p = self._get(0, slot, held)
         if self.volumes:
             held &= ((_as_uint(p.w) >> 16) & _IN_MEDIUM != 0) == in_media
-        return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) >> 30, held
+        return mi.Point3f(p.x, p.y, p.z), kind_of(p.w), held
 
     def sorted_by(self, destination: mi.UInt32, active: mi.Bool | bool = True, media: Media | None = None) -> Photons:
         """The data for merging, copied to the order of a search structure: slot i to ``destination[i]``. ``media``: of
