@@ -38,9 +38,9 @@ _IN_FREE_PATH = 0.1
 _IN_BALL, _NEIGHBOUR = 2.0, 4
 #: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
-#: Most photons of a pass in a disc, in the mean over the pixels. Tuned on ``cornell-glass`` and ``veach-bidir``, where
-#: merging mostly takes time, and on ``caustics`` and ``water-caustic``, where it finds most of the light.
-_MOST_PHOTONS = 6.0
+#: Most photons of a pass in a disc that are merged, in the mean over the pixels. Tuned on ``caustics`` and
+#: ``water-caustic``, where merging finds most of the light.
+_MOST_PHOTONS = 12.0
 #: More edges than any light path has.
 _ANY_DEPTH = (1 << 16) - 1
 #: Share of the pixels that may see something nearer than the distance below which the radius is constant.
