@@ -1,5 +1,5 @@
-"""Whether emission or connections that learn, or all techniques for direct light, pay: error times CPU time of ``bpt``
-and ``vcm`` with it beside the same without."""
+"""Whether emission or connections that learn, all techniques for direct light, or fewer photons from diffuse surfaces,
+pay: error times CPU time of ``bpt`` and ``vcm`` with it beside the same without."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class _Run:
 def measure(
     names: Names = SCENES,
     kinds: Methods = "bpt,vcm",
-    what: Annotated[str, typer.Option(help="What is switched: emission, connections or direct.")] = "emission",
+    what: Annotated[str, typer.Option(help="What is switched: emission, connections, direct or photons.")] = "emission",
     on: Annotated[str, typer.Option(help="The value of guide_emission that is compared with off.")] = "on",
     pixels: Pixels = 27648,
     seconds: Seconds = 30.0,
@@ -64,6 +64,7 @@ def measure(
         "emission": ("guide_emission", {"off": "off", "on": on}),
         "connections": ("guide_connections", {"off": False, "on": True}),
         "direct": ("direct_light", {"off": "next_event", "on": "all"}),
+        "photons": ("diffuse_photons", {"off": 1.0, "on": 0.1}),
     }
     if what not in switches:
         raise SystemExit(f"--what {what}: give {', '.join(switches)}")

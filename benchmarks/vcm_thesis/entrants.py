@@ -17,6 +17,7 @@ THESIS: Mapping[str, Any] = {
     "light_paths": 1.0,
     "light_source": "path",
     "eta_discount": 1.0,
+    "diffuse_photons": 1.0,
     "alpha": 2.0 / 3.0,
     "direct_light": "all",
     "roulette": "albedo",

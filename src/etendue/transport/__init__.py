@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from .alpha import coverage as coverage
     from .bidirectional.cache import PICK_BLOCK as PICK_BLOCK, LightCache as LightCache
     from .bidirectional.camera_walk import CameraWalk as CameraWalk
-    from .bidirectional.kinds import WIDE as WIDE, Kind as Kind, component_of as component_of
+    from .bidirectional.kinds import WIDE as WIDE, Kind as Kind
     from .bidirectional.light_walk import LightPath as LightPath, LightWalk as LightWalk
     from .bidirectional.linear import Counts as Counts
     from .bidirectional.mis import GRAZING as GRAZING, Mis as Mis

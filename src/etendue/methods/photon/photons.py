@@ -26,7 +26,6 @@ from etendue.transport import (
     Techniques,
     WalkRecorder,
     WalkVertex,
-    component_of,
     weigh,
 )
 
@@ -157,7 +156,7 @@ def reflected_by(
         f = vertex.bsdf.call(mi.BSDF.eval, *arguments, active=active)
     else:
         f, pdf = vertex.bsdf.call(mi.BSDF.eval_pdf, *arguments, active=active)
-        f = dr.select(peaks.gathers(pdf, component_of(photons.kind(photon, active))), f, 0.0)
+        f = dr.select(peaks.gathers(pdf, photons.component(photon, active)), f, 0.0)
     value = p.fluence * f
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
@@ -173,7 +172,7 @@ def add_by_kind(
     """The sums with the light of a photon added."""
     if len(sums) == 1:
         return [sums[0] + value]
-    values = by_component(value, component_of(photons.kind(photon, active)))
+    values = by_component(value, photons.component(photon, active))
     return [part + value for part, value in zip(sums, values, strict=True)]
 
 

@@ -20,7 +20,6 @@ from ..scattering import Evaluated
 from ..vertex import WalkVertex
 from ..walk import ones
 from .cache import LightCache, Pick
-from .kinds import component_of
 from .mis import Left, Weights
 from .moments import Moments, Sums
 from .photons import Gather, weigh as weigh_photon
@@ -356,7 +355,7 @@ class CameraWalk(BidirectionalWalk):
                 sums.photons = sums.photons + 1
                 self.moments.add(sums, "merge", s.throughput * values[0] * factors[0], weights.ratios, active)
             if s.seen is not None:
-                values[:1] = by_component(values[0], component_of(photons.kind(photon, active)))
+                values[:1] = by_component(values[0], photons.component(photon, active))
             return [total + value for total, value in zip(totals, values, strict=True)], sums
 
         found = self._blank(1, parts), s.sums

@@ -28,6 +28,7 @@ from etendue.density import HashGrid
 from ..flight import mean
 from ..packing import unpacked_direction, unpacked_light, unpacked_normal
 from ..vertex import WalkVertex
+from .kinds import component_of
 from .linear import Carried, Linear
 
 T = TypeVar("T")
@@ -82,6 +83,10 @@ class Photons:
         """The :class:`Kind` of the photon's light."""
         # As in `position`, so that both are one gather.
         return kind_of(dr.gather(mi.Vector4f, self._position, index, active).w)
+
+    def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The ``film.Component`` of the photon's light to an eye that sees the surface."""
+        return component_of(self.kind(index, active))
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
