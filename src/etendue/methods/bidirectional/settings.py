@@ -86,8 +86,8 @@ class BidirectionalSettings(OpeningSettings, CameraSettings):
     )
     diffuse_photons: float = setting(
         0.1,
-        "share that is merged of the photons sent by a wide scattering, as of a diffuse surface, whose light connections "
-        "find, too; 1: all, as without connections",
+        "share that is merged of the photons sent by a wide scattering, as of a diffuse surface, whose light "
+        "connections find, too; 1: all, as without connections",
         above=0.0,
         maximum=1.0,
     )
