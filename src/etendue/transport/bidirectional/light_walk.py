@@ -129,7 +129,7 @@ class LightWalk(BidirectionalWalk):
         if vertices is not None:
             mis, fluence = (s.d_vcm, s.d_vc), self.mis.fluence(light_cos)
             kept = smooth if vertices.connected else used
-            kind = self._drawn(s.kind, source.decide(vertex.number, dim.MERGED))
+            kind = self._drawn(s.kind, vertex, source)
             vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, kind, kept, self.number(s), place)
             s.stored += ones(kept)
 
@@ -146,10 +146,11 @@ class LightWalk(BidirectionalWalk):
         self.go_on(s, vertex, scattered, source, on_edge, light_cos, place)
         return s
 
-    def _drawn(self, kind: mi.UInt32, u: mi.Float) -> mi.UInt32:
+    def _drawn(self, kind: mi.UInt32, vertex: WalkVertex, source: SampleSource) -> mi.UInt32:
         """The kind to store, with those vertices marked that are not to be merged."""
         if not self.mis.techniques.thins:
             return kind
+        u = source.decide(vertex.number, dim.MERGED)
         unmerged = (kind == mi.UInt32(Kind.DIFFUSE)) & (u >= self.mis.techniques.diffuse)
         return dr.select(unmerged, mi.UInt32(Kind.UNMERGED), kind)
 
@@ -187,9 +188,10 @@ class LightWalk(BidirectionalWalk):
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         mis = self.mis.at(self.share(vertex))
         s.d_vcm, s.d_vc = mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, mis.merged(s.kind))
-        kind = after_light_scattering(s.kind, scattered.is_delta)
         if mis.techniques.thins:
             kind = after(s.kind, scattered.pdf, scattered.is_delta)
+        else:
+            kind = after_light_scattering(s.kind, scattered.is_delta)
         s.kind = self.keep_if_null(scattered, s.kind, kind)
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
