@@ -1,13 +1,15 @@
-"""Light through a window, and of a sun on glass, by light paths that look for it: the same picture, with a fraction of
-the noise."""
+"""Light through a window, and of a sun on glass, by light paths and next event that look for it: the same picture, with
+a fraction of the noise."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from support import scenes
-from support.running import mitsuba_path, prepared, run
+from support.running import go, mitsuba_path, prepared, run
 from support.statistics import assert_agree
 from support.tables import thinned
 
@@ -16,6 +18,8 @@ from etendue import methods
 from etendue.methods.auto.method import FIXED
 
 METHODS = ("light", "bpt", "bpm", "vcm", "sppm", "pm", "auto")
+#: Methods whose next event looks for windows.
+BY_NEXT_EVENT = ("path", "guided", "bpt", "vcm", "auto")
 #: Suns and skies, and methods: without weights, and with all techniques; the fast one first.
 ROWS = [
     ("directional constant", "light"),
@@ -24,7 +28,18 @@ ROWS = [
     *(("envmap", method) for method in ("light", "bpt")),
     ("sunsky", "light"),
     ("directional constant", "bpt"),
+    ("sunsky", "path"),
+    ("envmap", "path"),
+    ("directional constant", "guided"),
+    ("envmap", "vcm"),
 ]
+
+
+def planned(problem: Any, method: str, **settings: Any) -> Any:
+    """A method made ready for a run without limits."""
+    made = prepared(problem, method, **settings)
+    made.plan(None, None, None)
+    return made
 
 
 @pytest.mark.parametrize(
@@ -32,15 +47,17 @@ ROWS = [
 )
 def test_it_is_the_same_picture(row):
     suns, method = row[0].split(), row[1]
-    settings = {"light_paths": 16.0} if method == "light" else {}
-    found = run(scenes.hut(*suns), method, passes=8, samples=128, **settings)
+    settings = {"light": {"light_paths": 16.0}, "vcm": {"radius": 0.002}}.get(method, {})
+    made = planned(scenes.hut(*suns), method, samples_per_pass=128, **settings)
+    assert ("windows" in made.notes) == (method in BY_NEXT_EVENT)
+    found = go(made, passes=8)
     reference = mitsuba_path(scenes.hut(*suns), passes=8, samples=1024)
     assert_agree(found.images, reference, (suns, method), precision=0.03)
 
 
-def noise(method: str, openings: bool) -> float:
+def noise(method: str, openings: bool, sun: str = "directional") -> float:
     """Mean relative variance of the pixels of a pass."""
-    images = run(scenes.hut("directional"), method, passes=16, samples=32, openings=openings).images
+    images = go(planned(scenes.hut(sun), method, samples_per_pass=32, openings=openings), passes=16).images
     mean = images.mean(axis=0)
     return float((images.var(axis=0, ddof=1) / (mean**2 + 1e-3 * mean.mean() ** 2)).mean())
 
@@ -48,6 +65,11 @@ def noise(method: str, openings: bool) -> float:
 @pytest.mark.parametrize(("method", "most"), thinned([("light", 0.3), ("bpt", 0.6)], [("light", 0.3)]))
 def test_it_has_less_noise(method, most):
     assert noise(method, True) < most * noise(method, False)
+
+
+@pytest.mark.parametrize(("method", "most"), thinned([("path", 0.5), ("bpt", 0.5), ("guided", 0.5)], [("path", 0.5)]))
+def test_next_event_has_less_noise(method, most):
+    assert noise(method, True, "constant") < most * noise(method, False, "constant")
 
 
 @pytest.mark.parametrize("method", thinned([name for name in METHODS if name != "auto"], ("light", "sppm")))
@@ -65,7 +87,7 @@ def test_light_of_an_even_sky_is_left_to_next_event(method, found):
     """If the method has it, and sees some of the sky."""
     made = prepared(scenes.hut("constant"), method)
     if method == "auto":
-        assert made.method._through_openings() is made.lights
+        assert made.method._through_openings().lines is None
     assert (made.lights.lines is not None) == found
 
 
@@ -144,10 +166,46 @@ def test_methods_without_next_event_do_not_aim():
     assert prepared(scenes.terrace("directional"), "sppm").lights.lines is None
 
 
-def test_paths_of_the_camera_alone_do_not_look_for_them():
+def test_methods_without_light_paths_or_next_event_do_not_look_for_them():
     assert [name for name in methods.table() if "openings" in methods.get(name).Settings.names()] == [
-        name for name in methods.table() if name in {*METHODS, "ppm", "ambient_light"}
+        name for name in methods.table() if name in {*METHODS, *BY_NEXT_EVENT, "ppm", "ambient_light"}
     ]
+
+
+@pytest.mark.parametrize("method", thinned(BY_NEXT_EVENT, ["path", "auto"]))
+def test_next_event_looks_through_windows(method):
+    """Of a hut, not in an open scene, behind a pane, for the one direction of a sun, or if one does not want it."""
+
+    def looks(problem: Any, **settings: Any) -> bool:
+        made = planned(problem, method, **settings)
+        lights = made.method._through_openings() if method == "auto" else made.lights
+        assert (lights.windows is not None) == ("windows" in made.notes)
+        return lights.windows is not None
+
+    assert looks(scenes.hut("constant"))
+    assert not looks(scenes.hut("constant"), openings=False)
+    assert not looks(scenes.hut("directional"))
+    assert not looks(scenes.hut("constant", pane=True))
+    assert not looks(scenes.field(0.5, 1.0))
+
+
+@pytest.mark.parametrize("method", ["path", "auto"])
+def test_short_runs_do_not_look_through_windows(method):
+    for plan in ((1.0, None, None), (None, 2, None)):
+        made = prepared(scenes.hut("constant"), method, samples_per_pass=8)
+        made.plan(*plan)
+        made.step(0, 1)
+        assert "windows" not in made.notes
+    made.plan(60.0, None, None)
+    made.step(1, 1)
+    assert method == "auto" or "windows" in made.notes
+
+
+def test_lights_that_are_switched_off_before_a_second_run_are_forgotten():
+    made = planned(scenes.hut("constant"), "path")
+    made.prepare(scenes.field(0.5, 1.0), 1)
+    made.plan(None, None, None)
+    assert "windows" not in made.notes
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
-"""Rays of skies and suns through learned places: as bright as all over the disc, with densities that all know."""
+"""Rays of skies and suns through learned places, and directions to them: as bright as all others, with densities that
+all know."""
 
 from __future__ import annotations
 
@@ -12,9 +13,9 @@ from support import scenes
 from support.statistics import assert_mean
 
 from etendue.core import IndependentSource
-from etendue.density import LineCells, LineDensity
+from etendue.density import BoxDensity, Boxes, LineCells, LineDensity
 from etendue.scene import LightTable
-from etendue.transport import emission_of_hit, emit, sample_direct, surroundings
+from etendue.transport import emission_of_hit, emit, sample_direct, seen_through, surroundings
 
 N = 1 << 17
 SKIES = ("constant", "envmap", "sunsky", "sky", "directional")
@@ -119,6 +120,61 @@ def test_next_event_knows_the_density_of_emission(emitter):
     expected = 0.75 * np.array(line, np.float64) + 0.25 / (np.pi * lights.radius**2)
     active = np.array(found.active)
     np.testing.assert_allclose(np.array(found.light_ratio)[active], expected[active], rtol=1e-4)
+
+
+def windows() -> BoxDensity:
+    """Two, one before the other."""
+    lower, upper = np.array([[1.0, -0.5, -0.5], [0.5, 0.0, 0.0]]), np.array([[1.05, 0.5, 0.5], [1.5, 0.3, 0.4]])
+    return BoxDensity(Boxes(lower, upper, np.array([0.7, 0.3])))
+
+
+def at(p: tuple[float, float, float]) -> mi.SurfaceInteraction3f:
+    """A surface whose normal points upwards."""
+    si = dr.zeros(mi.SurfaceInteraction3f, N)
+    si.p = mi.Point3f(*p)
+    si.n = si.sh_frame.n = mi.Normal3f(0.0, 1.0, 0.0)
+    return si
+
+
+@pytest.mark.parametrize("p", [(0.0, -0.8, 0.0), (0.7, 0.1, 0.2)])
+@pytest.mark.parametrize("emitters", ["constant", "envmap", "sunsky", "sky", "directional constant"])
+def test_directions_through_windows_bring_the_light_of_the_sky(emitters, p):
+    """The fluence, which nothing hides, and its part that passes a window, are those without windows; also beside a
+    sun that one direction leads to."""
+    scene = scenes.hut(*emitters.split()).scene
+    lights = LightTable(scene)
+    found = [
+        sample_direct(table, at(p), numbers("light"), mi.UInt32(1), 0, mi.Bool(True))
+        for table in (lights, lights.seen_through(windows(), 0.75))
+    ]
+    for part in (False, True):
+        sums = []
+        for one in found:
+            value = dr.select(one.active, dr.mean(one.radiance), 0.0)
+            if part:
+                value = dr.select(windows().towards(at(p).p, one.direction) > 0.0, value, 0.0)
+            sums.append(np.array(value, np.float64))
+        error = np.hypot(*(value.std() / N**0.5 for value in sums))
+        assert abs(sums[0].mean() - sums[1].mean()) < 4.5 * error, (emitters, p, part)
+
+
+@pytest.mark.parametrize("emitter", SKIES)
+def test_all_know_the_density_of_directions_through_windows(emitter):
+    """Next event itself, a hit, and a light path that ends where next event began."""
+    scene = scenes.hut(emitter).scene
+    lights, p = LightTable(scene).seen_through(windows(), 0.75), (0.0, -0.8, 0.0)
+    found = sample_direct(lights, at(p), numbers("light"), mi.UInt32(1), 0, mi.Bool(True))
+    light = lights.at(at(p).p).row(found.light, found.active)
+    si, ds = dr.zeros(mi.SurfaceInteraction3f, N), dr.zeros(mi.DirectionSample3f, N)
+    si.t, si.wi, ds.d = dr.inf, -found.direction, found.direction
+    own = light.call("infinite", mi.Emitter.pdf_direction, dr.zeros(mi.Interaction3f), ds, active=found.active)
+    own = dr.select(light.is_delta, 1.0, own)
+    by_light_path = seen_through(lights, light, at(p).p, found.direction, own, found.active)
+    active = np.array(found.active)
+    np.testing.assert_allclose(np.array(by_light_path)[active], np.array(found.pdf)[active], rtol=1e-3)
+    if emitter != "directional":
+        _, by_hit, _ = emission_of_hit(lights, scene, si, found.active, at(p).p)
+        np.testing.assert_allclose(np.array(by_hit)[active], np.array(found.pdf)[active], rtol=1e-3)
 
 
 def test_how_much_sky_is_seen():

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         silverman as silverman,
     )
     from .boundary import Boundary as Boundary
+    from .boxes import BoxDensity as BoxDensity, Boxes as Boxes, fit_boxes as fit_boxes
     from .cells import FACINGS as FACINGS, Cells as Cells
     from .diagnosis import (
         Diagnosis as Diagnosis,

@@ -44,7 +44,8 @@ from etendue.transport import FITS, FOUND_UNITS, CameraPath, FirstHits, Guide, G
 from .base import STEP_LANES, ImageSettings, Layer, total
 from .ending import EndsInMap
 from .gain import Gain
-from .path import EndingPathSettings, Path, camera_paths, trace_path
+from .openings import through_openings
+from .path import Path, WindowPathSettings, camera_paths, trace_path
 from .store import STORE_SHARE
 
 #: Most camera paths of a lot that give training samples.
@@ -54,7 +55,7 @@ _LOSS = 1.05
 
 
 @dataclass(frozen=True)
-class GuidedSettings(EndingPathSettings):
+class GuidedSettings(WindowPathSettings):
     """Settings of ``guided``."""
 
     generations: int = setting(
@@ -117,6 +118,7 @@ class Guided(Carrying, EndsInMap):
         """See :class:`ImageMethod`; the guide is untrained."""
         self._forget_states()
         super().prepare(problem, seed)
+        self.lights = through_openings(self, seed)
         box = problem.scene.bbox()
         lower, upper = (np.asarray(corner, np.float64).ravel().tolist() for corner in (box.min, box.max))
         learned = self.settings.learn_lights and self.settings.generations > 0

@@ -1,5 +1,5 @@
-"""Where light paths of skies and suns start: at openings, found by a pilot of camera paths, and at mirrors and glass on
-which a sun shines, before the first pass."""
+"""Windows, found by a pilot of camera paths before the first pass: there light paths of skies and suns enter, and next
+event looks for skies. And mirrors and glass on which a sun shines, where its light paths go."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import IndependentSource, Settings, copied_to_device, logger, setting
+from etendue.core import IndependentSource, Settings, copied_to_device, logger, own_kernels, setting
 from etendue.density import LEAST_LINES
 from etendue.scene import LightTable, brightness, graph
 from etendue.transport import DirectWeights, Lines, OpeningWalk, Surroundings, dimensions as dim, emit, surroundings
@@ -27,12 +27,13 @@ _CASTERS = 0.2
 
 @dataclass(frozen=True)
 class OpeningSettings(Settings):
-    """Settings of the methods whose light paths look for openings."""
+    """Settings of the methods that look for openings."""
 
     openings: bool = setting(
         True,
-        "emit most light paths of skies and suns where they are useful: through windows, found by camera paths, where "
-        "walls hide most of the sky, and by bpt, vcm and auto those of suns at mirrors and glass",
+        "where walls hide most of the sky, find windows by camera paths: next event estimation samples the sky through "
+        "them, and light paths of skies and suns enter there; bpt, vcm and auto also aim those of suns at mirrors and "
+        "glass",
     )
 
     @property
@@ -40,27 +41,45 @@ class OpeningSettings(Settings):
         """Whether next event estimation samples the sky, too."""
         return False
 
+    @property
+    def has_light_paths(self) -> bool:
+        """Whether the method traces light paths."""
+        return True
 
+
+def forget(method: ImageMethod) -> None:
+    """Drop what has been noted of the scene before."""
+    for name in ("openings", "windows"):
+        method.notes.pop(name, None)
+
+
+@own_kernels(optimise=False)  # a few passes
 def through_openings(method: ImageMethod, seed: int) -> LightTable:
     """The lights of a prepared method with :class:`OpeningSettings`. Rays of infinite ones have the places of the lines
     along which camera paths have found them, if the surfaces in the picture see little of the sky, and of those of suns
-    that meet mirrors and glass; both if that makes these lines much likelier."""
-    method.notes.pop("openings", None)  # of the scene before
+    that meet mirrors and glass; both if that makes these lines much likelier. Next event's directions to skies pass the
+    windows of these lines."""
+    forget(method)
     lights = method.lights
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
     # Without next event, light paths have to light everything else as well.
-    both = [_to_casters(method, seed)] if lights.has_sun and o.samples_sky else []
-    if look_around(method, seed).sky <= (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
-        both.append(_lines(method, seed))
-    found = Lines.alike([lines for lines in both if lines]).fitted(lights)
-    if found is None:
-        logger.debug("openings: none, and no mirrors or glass in the sun")
-        return lights
-    lights, gain = found
-    logger.info("openings: lines to windows, mirrors and glass are sampled %.0f times as often", gain)
-    method.notes["openings"] = float(f"{gain:.3g}")
+    sky = look_around(method, seed).sky
+    seen = _lines(method, seed) if sky <= _OPEN else None
+    if o.has_light_paths:
+        both = [_to_casters(method, seed)] if lights.has_sun and o.samples_sky else []
+        if seen and sky <= (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
+            both.append(seen)
+        found = Lines.alike([lines for lines in both if lines]).fitted(lights)
+        if found:
+            lights, gain = found
+            logger.info("openings: lines to windows, mirrors and glass are sampled %.0f times as often", gain)
+            method.notes["openings"] = float(f"{gain:.3g}")
+    if seen and o.samples_sky and (found := seen.windows(lights)):
+        lights, gain = found
+        logger.info("openings: directions to the sky through windows are sampled %.1f times as often", gain)
+        method.notes["windows"] = float(f"{gain:.3g}")
     return lights
 
 
@@ -82,7 +101,7 @@ def _pilot(method: ImageMethod, seed: int, number: int) -> Lines:
     ray, importance = _camera_rays(method, source, _PATHS)
     path = method.walker(OpeningWalk, weights=DirectWeights()).trace(ray, source)
     path.total *= brightness(importance)
-    return Lines.of(path.origin, path.direction, path.total)
+    return Lines.of(path.origin, path.direction, path.total, path.picked, path.scattered)
 
 
 def _to_casters(method: ImageMethod, seed: int) -> Lines | None:

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         emit as emit,
         is_emissive as is_emissive,
         sample_direct as sample_direct,
+        seen_through as seen_through,
     )
     from .endings.ambient import (
         AMBIENT_WALKS as AMBIENT_WALKS,

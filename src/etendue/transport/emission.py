@@ -271,7 +271,7 @@ def sample_direct(
     if lights.has_point:
         _direct_point(result, light, si, u_point, departures, active & light.is_point)
     if lights.has_infinite:
-        _direct_infinite(result, lights, light, si, u_point, active & light.is_infinite)
+        _direct_infinite(result, lights, light, si, source, vertex, index, u_point, active & light.is_infinite)
     result.active &= ~dr.all(result.radiance == 0.0)
     return result
 
@@ -349,16 +349,59 @@ def _direct_infinite(
     lights: LightTable | LightsAt,
     light: Light,
     si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    index: int,
     u_point: mi.Point2f,
     mask: mi.Bool,
 ) -> None:
     ds, weight = light.sample_direction("infinite", si, u_point, mask)
-    usable = mask & (ds.pdf > 0.0)
-    out.direction[usable] = ds.d
-    out.target[usable] = ds.p
-    out.radiance[usable] = weight / light.pick
-    out.pdf[usable] = light.pick * ds.pdf
-    out.light_ratio[usable] = of_emission(light, _place_density(lights, light, si.p, ds.d, usable))
+    usable, d, own = mask & (ds.pdf > 0.0), mi.Vector3f(ds.d), mi.Float(ds.pdf)
+    target, radiance, pdf = mi.Point3f(ds.p), weight, light.pick * own
+    if lights.windows is not None:
+        component = dim.WINDOW + 2 * index
+        windows, share = lights.windows
+        through = mask & ~light.is_delta & (source.decide(vertex, component) < share)
+        place = windows.sample(u_point, source.decide(vertex, component + 1), through)
+        d = dr.select(through, dr.normalize(place - si.p), d)
+        target = dr.select(through, si.p + d * ds.dist, target)
+        shone, density = _along(light, d, through)
+        own = dr.select(through, density, own)
+        pdf = seen_through(lights, light, si.p, d, own, mask)
+        usable = mask & (pdf > 0.0)
+        radiance = dr.select(through, shone, weight * ds.pdf) * (light.pick / dr.select(usable, pdf, 1.0))
+    out.direction[usable] = d
+    out.target[usable] = target
+    out.radiance[usable] = radiance / light.pick
+    out.pdf[usable] = pdf
+    emission = light.emitted * own * _place_density(lights, light, si.p, d, usable)
+    out.light_ratio[usable] = emission / dr.select(usable, pdf, 1.0)
+
+
+def _along(light: Light, d: mi.Vector3f, mask: mi.Bool) -> tuple[mi.Spectrum, mi.Float]:
+    """(radiance of an infinite light seen in the direction ``d``, its own solid-angle density there)."""
+    si, ds = dr.zeros(mi.SurfaceInteraction3f), dr.zeros(mi.DirectionSample3f)
+    si.wi, si.wavelengths, ds.d = -d, light.packet.wavelengths, d
+
+    def seen(
+        emitter: mi.Emitter, si: mi.SurfaceInteraction3f, ds: mi.DirectionSample3f, mask: mi.Bool
+    ) -> tuple[mi.Spectrum, mi.Float]:
+        return emitter.eval(si, mask), emitter.pdf_direction(dr.zeros(mi.Interaction3f), ds, mask)
+
+    radiance, density = light.call("infinite", seen, si, ds, active=mask)
+    return radiance, density
+
+
+def seen_through(
+    lights: LightTable | LightsAt, light: Light, o: mi.Point3f, d: mi.Vector3f, own: mi.Float, mask: mi.Bool
+) -> mi.Float:
+    """Solid-angle density, light selection included, with which next event at ``o`` samples the direction ``d`` to an
+    infinite light; ``own``: that of the light without windows."""
+    if lights.windows is None:
+        return light.pick * own
+    windows, share = lights.windows
+    soft = mask & ~light.is_delta
+    return light.pick * dr.select(soft, share * windows.towards(o, d) + (1.0 - share) * own, own)
 
 
 def is_emissive(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> mi.Bool:
@@ -400,10 +443,9 @@ def emission_of_hit(
         ds = dr.zeros(mi.DirectionSample3f)
         ds.d = -si.wi
         reference = dr.zeros(mi.Interaction3f)
-        direction_density = light.pick * light.call(
-            "infinite", mi.Emitter.pdf_direction, reference, ds, active=infinite
-        )
-        area_density = dr.select(infinite, direction_density, area_density)
-        by_disc = of_emission(light, direction_density * _place_density(lights, light, origin, -si.wi, infinite))
+        of_direction = light.call("infinite", mi.Emitter.pdf_direction, reference, ds, active=infinite)
+        by_next_event = seen_through(lights, light, origin, ds.d, of_direction, infinite)
+        area_density = dr.select(infinite, by_next_event, area_density)
+        by_disc = light.emitted * of_direction * _place_density(lights, light, origin, ds.d, infinite)
         emission_density = dr.select(infinite, by_disc, emission_density)
     return radiance, area_density, emission_density

@@ -47,7 +47,7 @@ from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, 
 from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
 from ..bidirectional import BidirectionalSettings, Vcm
-from ..openings import OpeningSettings, through_openings
+from ..openings import OpeningSettings, forget, through_openings
 from ..path import Path, Trace, camera_paths, path_pass, traced
 from .efficiency import LEARNING, PHOTON, Learned, PassWork, tile_pixels
 from .noise import noise_of_paths
@@ -152,7 +152,7 @@ class Auto(Carrying, ImageMethod):
         super().prepare(problem, seed)
         self._seed = seed
         self._opened: LightTable | None = None
-        self.notes.pop("openings", None)  # of the scene before
+        forget(self)
         self._vcm_state: State = {}
         self._choice = self.settings.choice
         if one_way(problem.scene) is not None:
@@ -274,7 +274,7 @@ class Auto(Carrying, ImageMethod):
         return self._vcm
 
     def _through_openings(self) -> LightTable:
-        """The lights with their openings, which passes of path tracing do not need."""
+        """The lights with their openings, which short runs may not need."""
         if self._opened is None:
             super().take_wavelengths(0, self._seed)  # the same whenever they are found
             self._opened = through_openings(self, self._seed)
@@ -311,16 +311,15 @@ class Auto(Carrying, ImageMethod):
     ) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass with given counts; ``widening``: factor on the radius, 0 for that of the trial."""
         if counts.light_paths == 0.0:
-            return path_pass(self, iteration, seed, samples, self._tracing())
+            return path_pass(self, iteration, seed, samples, self._tracing(self._lights_of_paths()))
         vcm = self._estimator()
         vcm.use(counts)
         vcm.widening = widening or self._trial.factor
         vcm._hits = self._hits
         return vcm.render_pass(iteration, seed, samples)
 
-    def _tracing(self) -> Trace:
+    def _tracing(self, lights: LightTable) -> Trace:
         """The function that traces the paths of passes without light paths."""
-        lights = self._lights_of_paths()
         # Roulette as in the passes that predict the error; with fixed counts, as in the method ``path``.
         own: dict[str, Any] = {}
         if self._choice not in FIXED:
@@ -335,7 +334,8 @@ class Auto(Carrying, ImageMethod):
     def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
         """See :class:`ShowsRays`; with the counts of the next pass."""
         if self._counts.light_paths == 0.0:
-            dr.eval(camera_paths(self, lanes, iteration, seed, samples, self._tracing()).radiance)
+            trace = self._tracing(self._lights_of_paths())
+            dr.eval(camera_paths(self, lanes, iteration, seed, samples, trace).radiance)
             return
         vcm = self._estimator()
         vcm.use(self._counts)
@@ -348,7 +348,7 @@ class Auto(Carrying, ImageMethod):
     def _lights_of_paths(self) -> LightTable:
         """The lights for path tracing, with the probabilities of the passes that predict its error."""
         if self._vcm is None and "emission" not in self._vcm_state:
-            return self.lights
+            return self.lights if self._brief else self._through_openings()
         return self._estimator().sampled_lights
 
     # ------------------------------------------------------------------ learning
@@ -478,7 +478,7 @@ class Auto(Carrying, ImageMethod):
 
     def _noise(self) -> float:
         """The noise of passes of path tracing."""
-        noise = noise_of_paths(self, self._tracing(), self._seed)
+        noise = noise_of_paths(self, self._tracing(self.lights), self._seed)
         logger.debug("auto: a camera path has the relative variance %.3g", noise)
         return noise
 

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, as_array, copied_to_device, in_steps, on_device
-from etendue.density import LineDensity
+from etendue.density import BoxDensity, LineDensity
 
 from ..graph import contents, plugin_name
 from ..members import Members
@@ -147,6 +147,8 @@ class LightTable:
         lit = np.array([_is_lit(r, e) for r, e in zip(rows, emitters, strict=True)])
         #: Learned places of the rays of infinite lights, and their share of these rays; None: all over the disc.
         self.lines: tuple[LineDensity, mi.Float] | None = None
+        #: Learned places that next event's directions to skies pass, and their share of these directions.
+        self.windows: tuple[BoxDensity, mi.Float] | None = None
         #: Whether every lamp is switched off, so that every picture is black.
         self.is_black = not lit.any()
         lit |= self.is_black  # any probabilities do
@@ -174,6 +176,8 @@ class LightTable:
         self.has_sun = any(r.is_sun for r in rows)
         #: Whether a light is a mesh with vertex normals.
         self.has_smooth = any(r.cells is not None and is_smooth(e) for r, e in zip(rows, emitters, strict=True))
+        #: Probability with which next event picks a sky.
+        self.soft_share = float(pick @ [r.kind == "infinite" and not r.is_delta for r in rows])
         self.has_sphere = any(r.sphere[3] for r in rows)
         self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
         #: Point sampling on area lights whose radiance varies; None if the scene has no such light.
@@ -229,6 +233,12 @@ class LightTable:
         """The same lights; a ``share`` of the rays of infinite lights has the places of a density, below 1."""
         table = copy.copy(self)
         table.lines = lines, dr.opaque(mi.Float, share)
+        return table
+
+    def seen_through(self, windows: BoxDensity, share: float) -> LightTable:
+        """The same lights; a ``share`` of next event's directions to skies, below 1, passes the places of a density."""
+        table = copy.copy(self)
+        table.windows = windows, dr.opaque(mi.Float, share)
         return table
 
     def at_wavelengths_of(self, packet: Packet) -> LightTable:

@@ -14,7 +14,7 @@ from etendue.scene import brightness
 
 from .. import dimensions as dim
 from ..camera import CameraConnection
-from ..emission import EmittedRay, emit
+from ..emission import EmittedRay, emit, seen_through
 from ..flight import Passing
 from ..lamps.spheres import seen_density
 from ..rays import Edge
@@ -78,9 +78,9 @@ class LightWalk(BidirectionalWalk):
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
-        # Next event picks lights by the place that they light, and samples spherical ones by solid angle: its density
-        # depends on the end of the first edge.
-        depends = self.lights.has_sphere or self.lights.groups is not None
+        # Next event picks lights by the place that they light, and samples spherical ones by solid angle, and skies
+        # through windows: its density depends on the end of the first edge.
+        depends = self.lights.has_sphere or self.lights.groups is not None or self.lights.windows is not None
         waits = depends and self.mis.techniques.next_event > 0
         return self.kind(
             **own,
@@ -167,7 +167,12 @@ class LightWalk(BidirectionalWalk):
             waits = s.active & (s.waiting > 0.0)
             light = self.lights.at(vertex.position).row(s.light, waits)
             waiting = dr.select(waits, s.waiting, 1.0)
-            density = waiting * light.pick / dr.select(waits, self.lights.row(s.light, waits).pick, 1.0)
+            alone = waiting / dr.select(waits, self.lights.row(s.light, waits).pick, 1.0)
+            density = light.pick * alone
+            if self.lights.windows is not None:
+                infinite = waits & light.is_infinite
+                seen = seen_through(self.lights, light, vertex.position, -vertex.incoming, alone, infinite)
+                density = dr.select(infinite, seen, density)
             if self.lights.has_sphere:
                 density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, density)
             d_vcm = self.mis.lit(d_vcm, dr.select(waits, density / waiting, 1.0))

@@ -1,0 +1,285 @@
+r"""A density of rays by the places that they pass: rays of given origins through a few boxes.
+
+With a density rho of points in space, a ray from o is sampled towards a point of density rho. The solid-angle density
+of its direction w is that of all points on it,
+
+.. math:: p(w | o) = \int_0^\infty \rho(o + t w) \, t^2 \, dt .
+
+rho is constant in each of a few boxes, so that a ray that is in a box of mass m and volume V from the distance t_0 to
+t_1 has there the density m (t_1^3 - t_0^3) / (3 V). A window fits into a thin box, which then is a portal as people
+draw them by hand; compare [Bitterli 2015].
+
+:func:`fit_boxes` finds the boxes that make given rays most likely. Masses of the cells of a grid are found by
+expectation maximisation [Dempster 1977]; a tree of cuts divides the grid into boxes of about constant density; the
+faces of those with most mass are moved as long as that makes the rays likelier.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array, copied_to_device, in_steps
+
+#: Boxes, cells of the grid, its iterations, and cuts of the tree, at most.
+_BOXES, _CELLS, _ITERATIONS, _CUTS = 4, 512, 8, 24
+#: Rays of a fit, as many of which judge it, and the least number of rays.
+_MOST, LEAST_RAYS = 1 << 11, 1 << 9
+#: Rounds in which faces are moved, by what part of a side in the first one, and how this part falls.
+_ROUNDS, _MOVE, _LESS, _LEAST_MOVE = 8, 0.5, 0.8, 0.1
+#: Iterations for the masses of a few boxes.
+_AGAIN = 5
+#: Margin around a box, and least side of one, relative to the longest side of all.
+_EDGE, _THIN = 1e-3, 1e-3
+#: Margin of the next grid around the boxes, relative to the longest side, and most volume of it relative to the last.
+_AROUND, _CLOSER = 0.1, 0.7
+#: Mass of a box below which it does not count for the next grid.
+_LOST = 0.01
+#: Least component of a direction by which lengths are divided.
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """A density of points on the host: corners (k, 3) of boxes, and their masses (k,) with sum 1."""
+
+    lower: Array
+    upper: Array
+    mass: Array
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+    def with_masses(self, mass: Array) -> Boxes:
+        """The same boxes."""
+        return Boxes(self.lower, self.upper, mass)
+
+
+class BoxDensity:
+    """:class:`Boxes` on the device."""
+
+    def __init__(self, boxes: Boxes) -> None:
+        mass = in_steps(boxes.mass, 23)  # as random numbers: boxes are sampled as often as they count
+        size = boxes.upper - boxes.lower
+        #: For each box its corners, and the density of its points over 3.
+        self._boxes = [
+            (_opaque(lower), _opaque(upper), dr.opaque(mi.Float, float(density)))
+            for lower, upper, density in zip(boxes.lower, boxes.upper, mass / (3.0 * size.prod(axis=1)), strict=True)
+        ]
+        self._below = [dr.opaque(mi.Float, float(sum_)) for sum_ in np.cumsum(mass)[:-1]]
+        # For each box: its lower corner and mass, its sides and the axis of the shortest one.
+        rows = np.column_stack([boxes.lower, mass, size, size.argmin(axis=1)])
+        self._rows = copied_to_device(mi.Float, rows.astype(np.float32).ravel())
+
+    def sample(self, u: mi.Point2f, depth: mi.Float, active: mi.Bool) -> mi.Point3f:
+        """A point; ``u`` is as even on a window as in the square, and ``depth`` is across it."""
+        box, below = mi.UInt32(0), mi.Float(0.0)
+        for number, sum_ in enumerate(self._below, 1):
+            above = u.x >= sum_
+            box, below = dr.select(above, mi.UInt32(number), box), dr.select(above, sum_, below)
+        corner, side = (dr.gather(mi.Vector4f, self._rows, 2 * box + half, active) for half in (0, 1))
+        along = dr.minimum((u.x - below) / dr.maximum(corner.w, _TINY), 1.0)
+        point = mi.Vector3f(
+            dr.select(side.w == 0.0, depth, along),
+            dr.select(side.w == 1.0, depth, dr.select(side.w == 0.0, along, u.y)),
+            dr.select(side.w == 2.0, depth, u.y),
+        )
+        return mi.Point3f(corner.xyz + point * side.xyz)
+
+    def towards(self, o: mi.Point3f, d: mi.Vector3f) -> mi.Float:
+        """The solid-angle density of the unit directions ``d`` of rays from ``o``."""
+        inverse, found = dr.rcp(dr.select(dr.abs(d) < _TINY, _TINY, d)), mi.Float(0.0)
+        for lower, upper, density in self._boxes:
+            first, second = (lower - o) * inverse, (upper - o) * inverse
+            begin = dr.maximum(dr.max(dr.minimum(first, second)), 0.0)
+            end = dr.maximum(dr.min(dr.maximum(first, second)), begin)
+            squares = dr.square(begin) + begin * end + dr.square(end)
+            found = dr.fma(density * (end - begin), squares, found)
+        return found
+
+
+def _opaque(point: Array) -> mi.Point3f:
+    return mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in point))
+
+
+def fit_boxes(
+    o: Array,
+    d: Array,
+    weight: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    share: float,
+    without: Array,
+    rest: Array,
+) -> tuple[Boxes, float] | None:
+    """The boxes between the corners ``lower`` and ``upper`` that make rays most likely. Rays: origins and unit
+    directions (n, 3), weights (n,), densities (n,) ``without`` boxes and, in a mixture of which the boxes have the
+    ``share``, of the ``rest``.
+
+    Returns the boxes and the factor by which rays are likelier in the mixture, a geometric mean over rays that the fit
+    has not used; None if there are too few."""
+    edge = _EDGE * np.max(np.subtract(upper, lower))  # the room may be flat
+    if len(o) < LEAST_RAYS or not weight.sum() > 0.0 or not edge > 0.0:
+        return None
+    step = max(2, len(o) // _MOST)
+    rays = _Rays(o, d, weight, without, rest, share)
+    fitted, judging = (rays.every(step, first) for first in (0, 1))
+    room = Boxes(np.array([lower - edge]), np.array([upper + edge]), np.ones(1))
+    boxes, score = _refined(fitted, _parted(fitted, room), edge / _EDGE)
+    while True:
+        around = _around(boxes, room)
+        if _volume(around) > _CLOSER * _volume(room):
+            break
+        room = around
+        again, closer = _refined(fitted, _parted(fitted, room), edge / _EDGE)
+        if closer <= score:
+            break
+        boxes, score = again, closer
+    return boxes, float(np.exp(judging.score(judging.shares(boxes), boxes.mass)))
+
+
+@dataclass
+class _Rays:
+    """Rays, and what is known of their densities, see :func:`fit_boxes`."""
+
+    o: Array
+    d: Array
+    weight: Array
+    without: Array
+    rest: Array
+    share: float
+
+    def every(self, step: int, first: int = 0) -> _Rays:
+        """Every so-many-th of them."""
+        some = slice(first, None, step)
+        densities = self.without[some], self.rest[some]
+        return _Rays(self.o[some], self.d[some], self.weight[some], *densities, self.share)
+
+    def shares(self, boxes: Boxes) -> Array:
+        """(rays, boxes): density of a ray by a box of mass 1."""
+        inverse = 1.0 / np.where(np.abs(self.d) < _TINY, _TINY, self.d)[:, None]
+        first, second = ((corner - self.o[:, None]) * inverse for corner in (boxes.lower, boxes.upper))
+        begin = np.maximum(np.minimum(first, second).max(axis=2), 0.0)
+        end = np.maximum(np.maximum(first, second).min(axis=2), begin)
+        result: Array = (end**3 - begin**3) / (3.0 * (boxes.upper - boxes.lower).prod(axis=1))
+        return result
+
+    def density(self, shares: Array, mass: Array) -> Array:
+        """(rays,) in the mixture."""
+        result: Array = self.share * (shares @ mass) + self.rest
+        return result
+
+    def masses(self, shares: Array, mass: Array, iterations: int) -> Array:
+        """Masses that make the rays likelier."""
+        for _ in range(iterations):
+            mass = mass * (shares.T @ (self.weight / self.density(shares, mass)))
+            mass = mass / max(float(mass.sum()), 1e-300)
+        return mass
+
+    def score(self, shares: Array, mass: Array) -> float:
+        """Mean logarithm of the factor by which the mixture makes rays likelier."""
+        gain = np.log(self.density(shares, mass) / self.without)
+        return float((self.weight * gain).sum() / self.weight.sum())
+
+
+def _volume(boxes: Boxes) -> float:
+    return float((boxes.upper - boxes.lower).prod(axis=1).sum())
+
+
+def _around(boxes: Boxes, room: Boxes) -> Boxes:
+    """A box around those that have mass, with a margin, within the ``room``."""
+    kept = boxes.mass >= _LOST
+    lower, upper = boxes.lower[kept].min(axis=0), boxes.upper[kept].max(axis=0)
+    margin = _AROUND * (upper - lower).max()
+    return Boxes(np.maximum(lower - margin, room.lower), np.minimum(upper + margin, room.upper), np.ones(1))
+
+
+def _parted(rays: _Rays, room: Boxes) -> Boxes:
+    """Boxes of about constant density in the ``room``, those of most mass."""
+    lower, extent = room.lower[0], room.upper[0] - room.lower[0]
+    shape = np.maximum(np.floor(extent * (_CELLS / extent.prod()) ** (1.0 / 3.0)), 1.0).astype(int)
+    while shape.prod() > _CELLS:
+        shape[shape.argmax()] -= 1
+    size = extent / shape
+    places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = Boxes(lower + places * size, lower + (places + 1) * size, np.full(len(places), 1.0 / len(places)))
+    few = rays.every(2)
+    mass = few.masses(few.shares(cells), cells.mass, _ITERATIONS).reshape(shape)
+
+    leaves = [_Leaf.of(mass, np.zeros(3, int), shape)]
+    for _ in range(_CUTS):
+        best = max(range(len(leaves)), key=lambda i: leaves[i].gain)
+        if leaves[best].gain <= 0.0:
+            break
+        leaves[best : best + 1] = leaves[best].cut(mass)
+    leaves = sorted(leaves, key=lambda leaf: -leaf.mass)[:_BOXES]
+    first, last = np.array([leaf.first for leaf in leaves]), np.array([leaf.last for leaf in leaves])
+    return Boxes(lower + first * size, lower + last * size, np.full(len(leaves), 1.0 / len(leaves)))
+
+
+@dataclass
+class _Leaf:
+    """Cells from ``first`` to before ``last``, and the cut that makes the densities of both parts most unlike."""
+
+    first: Array
+    last: Array
+    mass: float
+    gain: float = 0.0  #: of the likelihood, with constant densities in both parts
+    axis: int = 0
+    place: int = 0
+
+    @classmethod
+    def of(cls, mass: Array, first: Array, last: Array) -> _Leaf:
+        """With its best cut."""
+        own = mass[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
+        leaf = cls(first, last, float(own.sum()))
+        for axis in range(3):
+            if own.shape[axis] < 2:
+                continue
+            below = np.cumsum(own.sum(axis=tuple(a for a in range(3) if a != axis)))[:-1]
+            part = np.arange(1, own.shape[axis]) / own.shape[axis]
+            gains = _entropy(below, part) + _entropy(leaf.mass - below, 1.0 - part) - _entropy(leaf.mass, 1.0)
+            best = int(gains.argmax())
+            if gains[best] > leaf.gain:
+                leaf.gain, leaf.axis, leaf.place = float(gains[best]), axis, int(first[axis]) + best + 1
+        return leaf
+
+    def cut(self, mass: Array) -> list[_Leaf]:
+        """Both parts."""
+        middle = [corner.copy() for corner in (self.last, self.first)]
+        for corner in middle:
+            corner[self.axis] = self.place
+        return [_Leaf.of(mass, self.first, middle[0]), _Leaf.of(mass, middle[1], self.last)]
+
+
+def _entropy(mass: Array | float, volume: Array | float) -> Array:
+    """Mass times the logarithm of the density."""
+    mass = np.maximum(mass, 0.0)
+    result: Array = mass * np.log(np.maximum(mass, 1e-300) / volume)
+    return result
+
+
+def _refined(rays: _Rays, boxes: Boxes, longest: float) -> tuple[Boxes, float]:
+    """Boxes with moved faces and other masses, which make the rays likelier, and the mean logarithm of the factor."""
+    corners = np.stack([boxes.lower, boxes.upper])
+    shares = rays.shares(boxes)
+    mass, part = rays.masses(shares, boxes.mass, _AGAIN), _MOVE
+    score = rays.score(shares, mass)
+    for _ in range(_ROUNDS):
+        for box, axis, side, way in np.ndindex(len(boxes), 3, 2, 2):
+            moved = corners[:, box].copy()
+            moved[side, axis] += (part if way == side else -part) * (moved[1, axis] - moved[0, axis])
+            if moved[1, axis] - moved[0, axis] < _THIN * longest:
+                continue
+            tried = shares.copy()
+            tried[:, box] = rays.shares(Boxes(moved[:1], moved[1:], np.ones(1)))[:, 0]
+            found = rays.score(tried, mass)
+            if found > score:
+                corners[:, box], shares, score = moved, tried, found
+        mass, part = rays.masses(shares, mass, _AGAIN), max(_LESS * part, _LEAST_MOVE)
+        score = rays.score(shares, mass)
+    return Boxes(corners[0], corners[1], mass), score
