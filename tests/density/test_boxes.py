@@ -103,8 +103,8 @@ def through(windows: np.ndarray, count: int, seed: int, others: float = 0.1) -> 
 
 def fitted(o: np.ndarray, d: np.ndarray, weight: np.ndarray | None = None) -> tuple[Boxes, float]:
     count = len(o)
-    without, weight = np.full(count, EVEN), np.ones(count) if weight is None else weight
-    found = fit_boxes(o, d, weight, LOWER, UPPER, share=0.75, without=without, rest=0.25 * without)
+    densities = {"replaced": np.full(count, EVEN), "kept": np.zeros(count), "most": 0.75}
+    found = fit_boxes(o, d, np.ones(count) if weight is None else weight, LOWER, UPPER, **densities)
     assert found is not None
     return found
 
@@ -113,13 +113,18 @@ def fitted(o: np.ndarray, d: np.ndarray, weight: np.ndarray | None = None) -> tu
 SMALL = np.array([[[10.0, 3.0, 3.0], [10.0, 3.2, 3.2]]])
 
 
+def mean_gain(boxes: Boxes, o: np.ndarray, d: np.ndarray) -> float:
+    """Mean logarithm of the factor by which rays are likelier with the boxes than evenly."""
+    return float(np.log(boxes.share * towards(BoxDensity(boxes), o, d) / EVEN + 1.0 - boxes.share).mean())
+
+
 @pytest.mark.parametrize("windows", [WINDOWS[:1], WINDOWS, SMALL], ids=["one", "two", "small"])
 def test_windows_are_found(windows):
     """Rays that it has not seen are about as likely as by the windows themselves, and as it says."""
     found, gain = fitted(*through(windows, 4000, 1))
     o, d = through(windows, 4000, 50)
-    exact = Boxes(windows[:, 0] - 1e-3, windows[:, 1] + 1e-3, np.full(len(windows), 1.0 / len(windows)))
-    mine, best = (np.log(0.75 * towards(BoxDensity(x), o, d) / EVEN + 0.25).mean() for x in (found, exact))
+    exact = Boxes(windows[:, 0] - 1e-3, windows[:, 1] + 1e-3, np.full(len(windows), 0.75 / len(windows)))
+    mine, best = (mean_gain(x, o, d) for x in (found, exact))
     assert mine == pytest.approx(np.log(gain), abs=0.1)
     assert mine > best - 0.5
 
@@ -138,10 +143,23 @@ def test_nothing_is_gained_where_there_are_no_windows():
     assert gain < 1.05
 
 
+@pytest.mark.parametrize("share", (0.2, 0.4, 0.6))
+def test_the_boxes_have_the_share_of_the_rays_that_pass_windows(share):
+    o, d = through(WINDOWS[:1], 8000, 5, others=1.0 - share)
+    assert fitted(o, d)[0].share == pytest.approx(share, abs=0.04)
+
+
+def test_rays_that_others_find_need_no_windows():
+    o, d = through(WINDOWS[:1], 4000, 5)
+    kept = np.where(d[:, 0] > 0.5, 100.0, EVEN)
+    _, gain = fit_boxes(o, d, np.ones(4000), LOWER, UPPER, replaced=np.full(4000, EVEN), kept=kept, most=0.75)
+    assert gain < fitted(o, d)[1] ** 0.7
+
+
 def test_too_few_rays_give_nothing():
     o, d = through(WINDOWS, 400, 1)
-    without = np.full(400, EVEN)
-    assert fit_boxes(o, d, np.ones(400), LOWER, UPPER, share=0.75, without=without, rest=0.25 * without) is None
+    densities = {"kept": np.zeros(400), "most": 0.75}
+    assert fit_boxes(o, d, np.ones(400), LOWER, UPPER, replaced=np.full(400, EVEN), **densities) is None
     o, d = (np.concatenate([x, x]) for x in (o, d))
-    without = np.full(800, EVEN)
-    assert fit_boxes(o, d, np.zeros(800), LOWER, UPPER, share=0.75, without=without, rest=0.25 * without) is None
+    densities = {"kept": np.zeros(800), "most": 0.75}
+    assert fit_boxes(o, d, np.zeros(800), LOWER, UPPER, replaced=np.full(800, EVEN), **densities) is None

@@ -44,7 +44,8 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Boxes:
-    """A density of points on the host: corners (k, 3) of boxes, and their masses (k,) with sum 1."""
+    """A density of points on the host: corners (k, 3) of boxes, and their masses (k,), whose sum is the share that the
+    boxes have in a mixture."""
 
     lower: Array
     upper: Array
@@ -53,16 +54,17 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.mass)
 
-    def with_masses(self, mass: Array) -> Boxes:
-        """The same boxes."""
-        return Boxes(self.lower, self.upper, mass)
+    @property
+    def share(self) -> float:
+        """Sum of the masses."""
+        return float(self.mass.sum())
 
 
 class BoxDensity:
-    """:class:`Boxes` on the device."""
+    """:class:`Boxes` on the device, alone: of mass 1."""
 
     def __init__(self, boxes: Boxes) -> None:
-        mass = in_steps(boxes.mass, 23)  # as random numbers: boxes are sampled as often as they count
+        mass = in_steps(boxes.mass / boxes.share, 23)  # as random numbers: boxes are sampled as often as they count
         size = boxes.upper - boxes.lower
         #: For each box its corners, and the density of its points over 3.
         self._boxes = [
@@ -112,23 +114,24 @@ def fit_boxes(
     lower: Array,
     upper: Array,
     *,
-    share: float,
-    without: Array,
-    rest: Array,
+    replaced: Array,
+    kept: Array,
+    part: float = 1.0,
+    most: float,
 ) -> tuple[Boxes, float] | None:
-    """The boxes between the corners ``lower`` and ``upper`` that make rays most likely. Rays: origins and unit
-    directions (n, 3), weights (n,), densities (n,) ``without`` boxes and, in a mixture of which the boxes have the
-    ``share``, of the ``rest``.
+    """The boxes between the corners ``lower`` and ``upper`` that make rays most likely, and their share. Rays: origins
+    and unit directions (n, 3), weights (n,), densities (n,) ``replaced``, of a sampling of which the boxes take a
+    share, at ``most`` so much, and ``kept``, of others. ``part``: probability with which that sampling samples at all.
 
-    Returns the boxes and the factor by which rays are likelier in the mixture, a geometric mean over rays that the fit
-    has not used; None if there are too few."""
+    Returns the boxes and the factor by which rays are likelier with them, a geometric mean over rays that the fit has
+    not used; None if there are too few."""
     edge = _EDGE * np.max(np.subtract(upper, lower))  # the room may be flat
     if len(o) < LEAST_RAYS or not weight.sum() > 0.0 or not edge > 0.0:
         return None
     step = max(2, len(o) // _MOST)
-    rays = _Rays(o, d, weight, without, rest, share)
+    rays = _Rays(o, d, weight, replaced, kept, part, most)
     fitted, judging = (rays.every(step, first) for first in (0, 1))
-    room = Boxes(np.array([lower - edge]), np.array([upper + edge]), np.ones(1))
+    room = Boxes(np.array([lower - edge]), np.array([upper + edge]), np.full(1, most))
     boxes, score = _refined(fitted, _parted(fitted, room), edge / _EDGE)
     while True:
         around = _around(boxes, room)
@@ -149,40 +152,43 @@ class _Rays:
     o: Array
     d: Array
     weight: Array
-    without: Array
-    rest: Array
-    share: float
+    replaced: Array
+    kept: Array
+    part: float
+    most: float
 
     def every(self, step: int, first: int = 0) -> _Rays:
         """Every so-many-th of them."""
         some = slice(first, None, step)
-        densities = self.without[some], self.rest[some]
-        return _Rays(self.o[some], self.d[some], self.weight[some], *densities, self.share)
+        densities = self.replaced[some], self.kept[some]
+        return _Rays(self.o[some], self.d[some], self.weight[some], *densities, self.part, self.most)
 
     def shares(self, boxes: Boxes) -> Array:
-        """(rays, boxes): density of a ray by a box of mass 1."""
+        """(rays, boxes): density of a ray by a box that has all of the share."""
         inverse = 1.0 / np.where(np.abs(self.d) < _TINY, _TINY, self.d)[:, None]
         first, second = ((corner - self.o[:, None]) * inverse for corner in (boxes.lower, boxes.upper))
         begin = np.maximum(np.minimum(first, second).max(axis=2), 0.0)
         end = np.maximum(np.maximum(first, second).min(axis=2), begin)
-        result: Array = (end**3 - begin**3) / (3.0 * (boxes.upper - boxes.lower).prod(axis=1))
+        result: Array = self.part * (end**3 - begin**3) / (3.0 * (boxes.upper - boxes.lower).prod(axis=1))
         return result
 
     def density(self, shares: Array, mass: Array) -> Array:
         """(rays,) in the mixture."""
-        result: Array = self.share * (shares @ mass) + self.rest
+        result: Array = shares @ mass + (1.0 - mass.sum()) * self.replaced + self.kept
         return result
 
     def masses(self, shares: Array, mass: Array, iterations: int) -> Array:
         """Masses that make the rays likelier."""
         for _ in range(iterations):
-            mass = mass * (shares.T @ (self.weight / self.density(shares, mass)))
-            mass = mass / max(float(mass.sum()), 1e-300)
+            value = self.weight / self.density(shares, mass)
+            mass, rest = mass * (shares.T @ value), (1.0 - mass.sum()) * float(self.replaced @ value)
+            share = max(float(mass.sum()), 1e-300)
+            mass = mass * (min(share / (share + rest), self.most) / share)
         return mass
 
     def score(self, shares: Array, mass: Array) -> float:
         """Mean logarithm of the factor by which the mixture makes rays likelier."""
-        gain = np.log(self.density(shares, mass) / self.without)
+        gain = np.log(self.density(shares, mass) / (self.replaced + self.kept))
         return float((self.weight * gain).sum() / self.weight.sum())
 
 
@@ -192,10 +198,10 @@ def _volume(boxes: Boxes) -> float:
 
 def _around(boxes: Boxes, room: Boxes) -> Boxes:
     """A box around those that have mass, with a margin, within the ``room``."""
-    kept = boxes.mass >= _LOST
-    lower, upper = boxes.lower[kept].min(axis=0), boxes.upper[kept].max(axis=0)
+    own = boxes.mass >= min(_LOST, boxes.mass.max())
+    lower, upper = boxes.lower[own].min(axis=0), boxes.upper[own].max(axis=0)
     margin = _AROUND * (upper - lower).max()
-    return Boxes(np.maximum(lower - margin, room.lower), np.minimum(upper + margin, room.upper), np.ones(1))
+    return Boxes(np.maximum(lower - margin, room.lower), np.minimum(upper + margin, room.upper), room.mass)
 
 
 def _parted(rays: _Rays, room: Boxes) -> Boxes:
@@ -206,7 +212,7 @@ def _parted(rays: _Rays, room: Boxes) -> Boxes:
         shape[shape.argmax()] -= 1
     size = extent / shape
     places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = Boxes(lower + places * size, lower + (places + 1) * size, np.full(len(places), 1.0 / len(places)))
+    cells = Boxes(lower + places * size, lower + (places + 1) * size, np.full(len(places), rays.most / len(places)))
     few = rays.every(2)
     mass = few.masses(few.shares(cells), cells.mass, _ITERATIONS).reshape(shape)
 
@@ -218,7 +224,7 @@ def _parted(rays: _Rays, room: Boxes) -> Boxes:
         leaves[best : best + 1] = leaves[best].cut(mass)
     leaves = sorted(leaves, key=lambda leaf: -leaf.mass)[:_BOXES]
     first, last = np.array([leaf.first for leaf in leaves]), np.array([leaf.last for leaf in leaves])
-    return Boxes(lower + first * size, lower + last * size, np.full(len(leaves), 1.0 / len(leaves)))
+    return Boxes(lower + first * size, lower + last * size, np.full(len(leaves), rays.most / len(leaves)))
 
 
 @dataclass

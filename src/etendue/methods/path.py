@@ -85,6 +85,10 @@ class EndingPathSettings(EndingSettings, PathSettings):
 class WindowPathSettings(OpeningSettings, EndingPathSettings):
     """Settings of ``path`` and ``guided``, whose next event looks for windows."""
 
+    openings: bool = setting(
+        True, "where walls hide most of the sky, find windows by camera paths, and sample the sky through them"
+    )
+
     @property
     def samples_sky(self) -> bool:
         """See :class:`OpeningSettings`."""
@@ -103,7 +107,7 @@ class Path(EndsInMap):
     plugin: ClassVar[str | None] = ""
     Settings: ClassVar[type[ImageSettings]] = WindowPathSettings
     settings: PathSettings
-    citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
+    citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997", "Bitterli2015")
     media: ClassVar[str | None] = "scattering"
     spectral: ClassVar[bool] = True
     one_way = True

@@ -311,15 +311,16 @@ class Auto(Carrying, ImageMethod):
     ) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass with given counts; ``widening``: factor on the radius, 0 for that of the trial."""
         if counts.light_paths == 0.0:
-            return path_pass(self, iteration, seed, samples, self._tracing(self._lights_of_paths()))
+            return path_pass(self, iteration, seed, samples, self._tracing())
         vcm = self._estimator()
         vcm.use(counts)
         vcm.widening = widening or self._trial.factor
         vcm._hits = self._hits
         return vcm.render_pass(iteration, seed, samples)
 
-    def _tracing(self, lights: LightTable) -> Trace:
-        """The function that traces the paths of passes without light paths."""
+    def _tracing(self, lights: LightTable | None = None) -> Trace:
+        """The function that traces the paths of passes without light paths, from their lights or others."""
+        lights = lights or self._lights_of_paths()
         # Roulette as in the passes that predict the error; with fixed counts, as in the method ``path``.
         own: dict[str, Any] = {}
         if self._choice not in FIXED:
@@ -334,8 +335,7 @@ class Auto(Carrying, ImageMethod):
     def trace_through(self, lanes: mi.UInt32, samples: int, iteration: int, seed: int) -> None:
         """See :class:`ShowsRays`; with the counts of the next pass."""
         if self._counts.light_paths == 0.0:
-            trace = self._tracing(self._lights_of_paths())
-            dr.eval(camera_paths(self, lanes, iteration, seed, samples, trace).radiance)
+            dr.eval(camera_paths(self, lanes, iteration, seed, samples, self._tracing()).radiance)
             return
         vcm = self._estimator()
         vcm.use(self._counts)

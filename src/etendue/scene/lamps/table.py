@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, as_array, copied_to_device, in_steps, on_device
-from etendue.density import BoxDensity, LineDensity
+from etendue.density import BoxDensity, Boxes, LineDensity
 
 from ..graph import contents, plugin_name
 from ..members import Members
@@ -235,10 +235,10 @@ class LightTable:
         table.lines = lines, dr.opaque(mi.Float, share)
         return table
 
-    def seen_through(self, windows: BoxDensity, share: float) -> LightTable:
-        """The same lights; a ``share`` of next event's directions to skies, below 1, passes the places of a density."""
+    def seen_through(self, windows: Boxes) -> LightTable:
+        """The same lights; a share of next event's directions to skies, below 1, passes boxes."""
         table = copy.copy(self)
-        table.windows = windows, dr.opaque(mi.Float, share)
+        table.windows = BoxDensity(windows), dr.opaque(mi.Float, windows.share)
         return table
 
     def at_wavelengths_of(self, packet: Packet) -> LightTable:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SampleSource
-from etendue.density import LEAST_LINES, BoxDensity, LineDensity, fit_boxes, fit_lines
+from etendue.density import LEAST_LINES, LineDensity, fit_boxes, fit_lines
 from etendue.scene import LightTable, brightness
 
 from .. import dimensions as dim
@@ -163,11 +163,12 @@ class Lines:
         next event does not pass, gain nothing."""
         passed = self.picked > 0.0
         few = self[passed]._few()
-        densities = {"without": few.picked + few.scattered, "rest": (1.0 - _SHARE) * few.picked + few.scattered}
-        share = _SHARE * lights.soft_share
-        found = fit_boxes(few.o, few.d, few.value, *lights.box, share=share, **densities) if few else None
+        if not few:
+            return None
+        rays, densities = (few.o, few.d, few.value), {"replaced": few.picked, "kept": few.scattered}
+        found = fit_boxes(*rays, *lights.box, **densities, part=lights.soft_share, most=_SHARE)
         gain = found[1] ** float(self.value[passed].sum() / self.value.sum()) if found else 0.0
-        return (lights.seen_through(BoxDensity(found[0]), _SHARE), gain) if found and gain >= _SEEN_GAIN else None
+        return (lights.seen_through(found[0]), gain) if found and gain >= _SEEN_GAIN else None
 
     def _few(self) -> Lines:
         """At most :data:`_MOST` of them, none of which decides alone; none if some would."""
