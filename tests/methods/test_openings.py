@@ -189,6 +189,16 @@ def test_next_event_looks_through_windows(method):
     assert not looks(scenes.field(0.5, 1.0))
 
 
+def test_each_light_point_has_its_own_direction():
+    """The variance of next event falls with the number of its samples."""
+    variances = []
+    for number in (1, 8):
+        made = planned(scenes.hut("constant"), "bpt", samples_per_pass=32, next_events=number, max_depth=2)
+        assert "windows" in made.notes
+        variances.append(go(made, passes=16).images.var(axis=0, ddof=1).mean())
+    assert variances[1] < 0.4 * variances[0]
+
+
 @pytest.mark.parametrize("method", ["path", "auto"])
 def test_short_runs_do_not_look_through_windows(method):
     for plan in ((1.0, None, None), (None, 2, None)):

@@ -64,11 +64,11 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
-    # Without next event, light paths have to light everything else as well.
     sky = look_around(method, seed).sky
     seen = _lines(method, seed) if sky <= _OPEN else None
     if o.has_light_paths:
         both = [_to_casters(method, seed)] if lights.has_sun and o.samples_sky else []
+        # Without next event, light paths have to light everything else as well.
         if seen and sky <= (_EVEN if o.samples_sky and not lights.has_sun else _OPEN):
             both.append(seen)
         found = Lines.alike([lines for lines in both if lines]).fitted(lights)

@@ -51,9 +51,9 @@ FREE_PATH = CONNECT + CONNECT_MAX  #: 1 number: distance to a collision
 CHANNEL = FREE_PATH + 1  #: 1 number: colour channel by which distances are sampled
 NULL_COLLISIONS = FREE_PATH + 2  #: 1 number: with that of the free path, selects those of null collisions
 
-#: 2 numbers for each next-event sample, camera sub-paths only: whether its direction to a sky passes a window, and its
-#: place across the window.
-WINDOW = FREE_PATH + 3
+#: 1 number for each next-event sample, camera sub-paths only: whether its direction to a sky passes a window, and where
+#: across it. Half of them are numbers that only light sub-paths, or walks without windows, use for something else.
+WINDOW = (4, 5, 6, 7, *range(NULL_COLLISIONS + 1, NULL_COLLISIONS + 5))
 
 # Coordinates of Halton's sequence: small primes for film and lens, larger primes from vertex to vertex, with next event
 # before the direction. The first 46 primes (up to 199) cover 8 vertices. Other numbers are independent.

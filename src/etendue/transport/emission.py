@@ -359,10 +359,10 @@ def _direct_infinite(
     usable, d, own = mask & (ds.pdf > 0.0), mi.Vector3f(ds.d), mi.Float(ds.pdf)
     target, radiance, pdf = mi.Point3f(ds.p), weight, light.pick * own
     if lights.windows is not None:
-        component = dim.WINDOW + 2 * index
         windows, share = lights.windows
-        through = mask & ~light.is_delta & (source.decide(vertex, component) < share)
-        place = windows.sample(u_point, source.decide(vertex, component + 1), through)
+        u = source.decide(vertex, dim.WINDOW[index])
+        through = mask & ~light.is_delta & (u < share)
+        place = windows.sample(u_point, u / share, through)
         d = dr.select(through, dr.normalize(place - si.p), d)
         target = dr.select(through, si.p + d * ds.dist, target)
         shone, density = _along(light, d, through)
