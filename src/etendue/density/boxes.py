@@ -27,7 +27,7 @@ from etendue.core import Array, copied_to_device, in_steps
 #: Boxes, cells of the grid, its iterations, and cuts of the tree, at most.
 _BOXES, _CELLS, _ITERATIONS, _CUTS = 4, 512, 8, 24
 #: Rays of a fit, as many of which judge it, and the least number of rays.
-_MOST, LEAST_RAYS = 1 << 11, 1 << 9
+_MOST, LEAST_RAYS = 1 << 10, 1 << 9
 #: Rounds in which faces are moved, by what part of a side in the first one, and how this part falls.
 _ROUNDS, _MOVE, _LESS, _LEAST_MOVE = 8, 0.5, 0.8, 0.1
 #: Iterations for the masses of a few boxes.
@@ -38,6 +38,8 @@ _EDGE, _THIN = 1e-3, 1e-3
 _AROUND, _CLOSER = 0.1, 0.7
 #: Mass of a box below which it does not count for the next grid.
 _LOST = 0.01
+#: Least part of the factor on rays that a box must bring: each costs a little time at every vertex.
+_WORTH = 0.02
 #: Least component of a direction by which lengths are divided.
 _TINY = 1e-12
 
@@ -142,6 +144,7 @@ def fit_boxes(
         if closer <= score:
             break
         boxes, score = again, closer
+    boxes = _fewer(fitted, boxes)
     return boxes, float(np.exp(judging.score(judging.shares(boxes), boxes.mass)))
 
 
@@ -190,6 +193,21 @@ class _Rays:
         """Mean logarithm of the factor by which the mixture makes rays likelier."""
         gain = np.log(self.density(shares, mass) / (self.replaced + self.kept))
         return float((self.weight * gain).sum() / self.weight.sum())
+
+
+def _fewer(rays: _Rays, boxes: Boxes) -> Boxes:
+    """Boxes without those that bring little."""
+    shares = rays.shares(boxes)
+    while len(boxes) > 1:
+        without = [np.arange(len(boxes)) != box for box in range(len(boxes))]
+        masses = [rays.masses(shares[:, own], boxes.mass[own], _AGAIN) for own in without]
+        scores = [rays.score(shares[:, own], mass) for own, mass in zip(without, masses, strict=True)]
+        least = int(np.argmax(scores))
+        if scores[least] < rays.score(shares, boxes.mass) - _WORTH:
+            break
+        own = without[least]
+        boxes, shares = Boxes(boxes.lower[own], boxes.upper[own], masses[least]), shares[:, own]
+    return boxes
 
 
 def _volume(boxes: Boxes) -> float:

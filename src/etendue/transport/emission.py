@@ -355,14 +355,20 @@ def _direct_infinite(
     u_point: mi.Point2f,
     mask: mi.Bool,
 ) -> None:
+    through = None
+    if lights.windows is not None:
+        # One number decides, and goes on as a coordinate of either kind of direction, which keeps both even.
+        windows, share = lights.windows
+        soft = mask & ~light.is_delta
+        through, own_u = soft & (u_point.x < share), (u_point.x - share) / (1.0 - share)
+        place = windows.sample(
+            mi.Point2f(u_point.x / share, u_point.y), source.decide(vertex, dim.WINDOW[index]), through
+        )
+        u_point = mi.Point2f(dr.select(soft, dr.clip(own_u, 0.0, 1.0 - 2.0**-24), u_point.x), u_point.y)
     ds, weight = light.sample_direction("infinite", si, u_point, mask)
     usable, d, own = mask & (ds.pdf > 0.0), mi.Vector3f(ds.d), mi.Float(ds.pdf)
     target, radiance, pdf = mi.Point3f(ds.p), weight, light.pick * own
-    if lights.windows is not None:
-        windows, share = lights.windows
-        u = source.decide(vertex, dim.WINDOW[index])
-        through = mask & ~light.is_delta & (u < share)
-        place = windows.sample(u_point, u / share, through)
+    if through is not None:
         d = dr.select(through, dr.normalize(place - si.p), d)
         target = dr.select(through, si.p + d * ds.dist, target)
         shone, density = _along(light, d, through)
