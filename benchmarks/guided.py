@@ -108,18 +108,21 @@ def _record(
     return record
 
 
-def referenced(name: str, size: tuple[int, int], seconds: float, by: str = "guided") -> tuple[Case | None, float]:
+def referenced(
+    name: str, size: tuple[int, int], seconds: float, by: str = "guided", source: Any = None
+) -> tuple[Case | None, float]:
     """The scene with a reference, and the reference's own error. ``by``: the method of the reference of a bundled
-    scene."""
-    if name in scene.bundled():
-        size = scaled_size(name, size[0] * size[1])
+    scene, or of another ``source``."""
+    if source is not None or name in scene.bundled():
+        source = source or name
+        size = scaled_size(source, size[0] * size[1])
         first, second = (
-            render(name, by, seconds=_HALF * seconds, size=size, seed=1000 + half).image for half in range(2)
+            render(source, by, seconds=_HALF * seconds, size=size, seed=1000 + half).image for half in range(2)
         )
         mean = (first + second) / 2
         note = f"{by}, {2 * _HALF * seconds:g} s in two halves, whose difference tells its error"
         # Half of the halves' difference is as far from either as the mean is from the truth.
-        return Case(name, name, mean, note), film.relative_mse(first, mean, trim=_TRIM)
+        return Case(name, source, mean, note), film.relative_mse(first, mean, trim=_TRIM)
     case = find(name, size)
     if isinstance(case, str):
         console.print(case)

@@ -38,7 +38,7 @@ class Case:
     """A scene and its reference picture."""
 
     name: str
-    source: str
+    source: Any
     reference: Any  #: (height, width, 3), of the size that is rendered
     note: str
 

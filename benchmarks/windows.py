@@ -5,6 +5,8 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 
+from etendue.scene.builtin.shutters import shutters
+
 from .guided import MITSUBA, Rows, race, referenced
 from .measuring import Record, verdict
 from .options import Names, Seconds, Seeds, Size
@@ -12,6 +14,8 @@ from .options import Names, Seconds, Seeds, Size
 #: Error of ``auto``, relative to Mitsuba's ``path``, at most.
 BAR = 0.1
 SCENES = "shutters"
+#: The name of ``shutters`` without its panes, so that next event finds the sky.
+OPEN = "open-shutters"
 ROWS: Rows = {
     MITSUBA: ("", {}),
     "path": ("path", {}),
@@ -29,7 +33,8 @@ def measure(
 ) -> Iterator[Record]:
     """One table a scene; the rows take turns, seed by seed."""
     for name in names:
-        case, own = referenced(name, size, seconds, by="bpt")
+        source = {key: value for key, value in shutters().items() if "pane" not in key} if name == OPEN else None
+        case, own = referenced(name, size, seconds, by="bpt", source=source)
         if case is None:
             continue
         outcomes = race(case, own, ROWS, seconds, seeds)
