@@ -14,7 +14,7 @@ from .options import Names, Seconds, Seeds, Size
 #: Error of ``auto``, relative to Mitsuba's ``path``, at most.
 BAR = 0.1
 SCENES = "shutters"
-#: The name of ``shutters`` without its panes, so that next event finds the sky.
+#: The name of ``shutters`` without its panes and under an even sky, which next event finds.
 OPEN = "open-shutters"
 ROWS: Rows = {
     MITSUBA: ("", {}),
@@ -33,7 +33,10 @@ def measure(
 ) -> Iterator[Record]:
     """One table a scene; the rows take turns, seed by seed."""
     for name in names:
-        source = {key: value for key, value in shutters().items() if "pane" not in key} if name == OPEN else None
+        source = None
+        if name == OPEN:
+            source = {key: value for key, value in shutters().items() if "pane" not in key}
+            source["sky"] = {"type": "constant", "radiance": 1.0}
         case, own = referenced(name, size, seconds, by="bpt", source=source)
         if case is None:
             continue

@@ -126,7 +126,7 @@ def fit_boxes(
     share, at ``most`` so much, and ``kept``, of others. ``part``: probability with which that sampling samples at all.
 
     Returns the boxes and the factor by which rays are likelier with them, a geometric mean over rays that the fit has
-    not used; None if there are too few."""
+    not used (but to tell when to look closer); None if there are too few."""
     edge = _EDGE * np.max(np.subtract(upper, lower))  # the room may be flat
     if len(o) < LEAST_RAYS or not weight.sum() > 0.0 or not edge > 0.0:
         return None
@@ -134,18 +134,19 @@ def fit_boxes(
     rays = _Rays(o, d, weight, replaced, kept, part, most)
     fitted, judging = (rays.every(step, first) for first in (0, 1))
     room = Boxes(np.array([lower - edge]), np.array([upper + edge]), np.full(1, most))
-    boxes, score = _refined(fitted, _parted(fitted, room), edge / _EDGE)
+    boxes: Boxes | None = None
+    score = -np.inf
     while True:
-        around = _around(boxes, room)
+        closer = _fewer(fitted, _refined(fitted, _parted(fitted, room), _THIN * edge / _EDGE))
+        found = judging.score(judging.shares(closer), closer.mass)
+        if not found > score:
+            break
+        boxes, score = closer, found
+        around = _around(boxes)
         if _volume(around) > _CLOSER * _volume(room):
             break
         room = around
-        again, closer = _refined(fitted, _parted(fitted, room), edge / _EDGE)
-        if closer <= score:
-            break
-        boxes, score = again, closer
-    boxes = _fewer(fitted, boxes)
-    return boxes, float(np.exp(judging.score(judging.shares(boxes), boxes.mass)))
+    return None if boxes is None else (boxes, float(np.exp(score)))
 
 
 @dataclass
@@ -214,12 +215,12 @@ def _volume(boxes: Boxes) -> float:
     return float((boxes.upper - boxes.lower).prod(axis=1).sum())
 
 
-def _around(boxes: Boxes, room: Boxes) -> Boxes:
-    """A box around those that have mass, with a margin, within the ``room``."""
+def _around(boxes: Boxes) -> Boxes:
+    """A box around those that have mass, with a margin."""
     own = boxes.mass >= min(_LOST, boxes.mass.max())
     lower, upper = boxes.lower[own].min(axis=0), boxes.upper[own].max(axis=0)
     margin = _AROUND * (upper - lower).max()
-    return Boxes(np.maximum(lower - margin, room.lower), np.minimum(upper + margin, room.upper), room.mass)
+    return Boxes(lower[None] - margin, upper[None] + margin, np.full(1, boxes.share))
 
 
 def _parted(rays: _Rays, room: Boxes) -> Boxes:
@@ -287,8 +288,8 @@ def _entropy(mass: Array | float, volume: Array | float) -> Array:
     return result
 
 
-def _refined(rays: _Rays, boxes: Boxes, longest: float) -> tuple[Boxes, float]:
-    """Boxes with moved faces and other masses, which make the rays likelier, and the mean logarithm of the factor."""
+def _refined(rays: _Rays, boxes: Boxes, least: float) -> Boxes:
+    """Boxes with moved faces and other masses, which make the rays likelier; no side becomes smaller than ``least``."""
     corners = np.stack([boxes.lower, boxes.upper])
     shares = rays.shares(boxes)
     mass, part = rays.masses(shares, boxes.mass, _AGAIN), _MOVE
@@ -297,7 +298,7 @@ def _refined(rays: _Rays, boxes: Boxes, longest: float) -> tuple[Boxes, float]:
         for box, axis, side, way in np.ndindex(len(boxes), 3, 2, 2):
             moved = corners[:, box].copy()
             moved[side, axis] += (part if way == side else -part) * (moved[1, axis] - moved[0, axis])
-            if moved[1, axis] - moved[0, axis] < _THIN * longest:
+            if moved[1, axis] - moved[0, axis] < least:
                 continue
             tried = shares.copy()
             tried[:, box] = rays.shares(Boxes(moved[:1], moved[1:], np.ones(1)))[:, 0]
@@ -306,4 +307,4 @@ def _refined(rays: _Rays, boxes: Boxes, longest: float) -> tuple[Boxes, float]:
                 corners[:, box], shares, score = moved, tried, found
         mass, part = rays.masses(shares, mass, _AGAIN), max(_LESS * part, _LEAST_MOVE)
         score = rays.score(shares, mass)
-    return Boxes(corners[0], corners[1], mass), score
+    return Boxes(corners[0], corners[1], mass)
