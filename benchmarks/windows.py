@@ -18,10 +18,12 @@ SCENES = "shutters"
 OPEN = "open-shutters"
 ROWS: Rows = {
     MITSUBA: ("", {}),
-    "path": ("path", {}),
-    "guided": ("guided", {}),
+    "path, openings=false": ("path", {"openings": False}),
+    "guided, openings=false": ("guided", {"openings": False}),
     "bpt, openings=false": ("bpt", {"openings": False}),
     "vcm, openings=false": ("vcm", {"openings": False}),
+    "path": ("path", {}),
+    "guided": ("guided", {}),
     "bpt": ("bpt", {}),
     "vcm": ("vcm", {}),
     "auto": ("auto", {}),
@@ -56,7 +58,7 @@ def measure(
                 f"{min(ratio):.2g} to {max(ratio):.2g}",
                 f"{middle['bias']:+.2%}",
                 f"{middle['samples']:.0f}",
-                verdict(statistics.median(ratio), BAR) if row == "auto" else "",
+                verdict(statistics.median(ratio), BAR) if (name, row) == (SCENES, "auto") else "",
             )
         record.notes += [
             f"reference: {case.note}",
