@@ -27,7 +27,7 @@ from etendue.core import Array, copied_to_device, in_steps
 #: Boxes, cells of the grid, its iterations, and cuts of the tree, at most.
 _BOXES, _CELLS, _ITERATIONS, _CUTS = 4, 512, 8, 24
 #: Rays of a fit, as many of which judge it, and the least number of rays.
-_MOST, LEAST_RAYS = 1 << 10, 1 << 9
+_MOST, _LEAST = 1 << 10, 1 << 9
 #: Rounds in which faces are moved, by what part of a side in the first one, and how this part falls.
 _ROUNDS, _MOVE, _LESS, _LEAST_MOVE = 8, 0.5, 0.8, 0.1
 #: Iterations for the masses of a few boxes.
@@ -128,7 +128,7 @@ def fit_boxes(
     Returns the boxes and the factor by which rays are likelier with them, a geometric mean over rays that the fit has
     not used (but to tell when to look closer); None if there are too few."""
     edge = _EDGE * np.max(np.subtract(upper, lower))  # the room may be flat
-    if len(o) < LEAST_RAYS or not weight.sum() > 0.0 or not edge > 0.0:
+    if len(o) < _LEAST or not weight.sum() > 0.0 or not edge > 0.0:
         return None
     step = max(2, len(o) // _MOST)
     rays = _Rays(o, d, weight, replaced, kept, part, most)

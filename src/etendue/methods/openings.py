@@ -64,6 +64,9 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
+    by_next_event = o.samples_sky and lights.soft_share > 0.0
+    if not (by_next_event or o.has_light_paths):
+        return lights
     sky = look_around(method, seed).sky
     seen = _lines(method, seed) if sky <= _OPEN else None
     if o.has_light_paths:
@@ -76,7 +79,7 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
             lights, gain = found
             logger.info("openings: lines to windows, mirrors and glass are sampled %.0f times as often", gain)
             method.notes["openings"] = float(f"{gain:.3g}")
-    if seen and o.samples_sky and (found := seen.windows(lights)):
+    if seen and by_next_event and (found := seen.windows(lights)):
         lights, gain = found
         logger.info("openings: directions to the sky through windows are sampled %.1f times as often", gain)
         method.notes["windows"] = float(f"{gain:.3g}")

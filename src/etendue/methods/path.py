@@ -78,7 +78,7 @@ class PathSettings(DirectionSettings, CameraSettings):
 
 @dataclass(frozen=True)
 class EndingPathSettings(EndingSettings, PathSettings):
-    """Settings of ``path``, and of the path tracers that can end in maps."""
+    """Settings of the path tracers that can end in maps."""
 
 
 @dataclass(frozen=True)
