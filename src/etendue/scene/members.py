@@ -54,7 +54,9 @@ class Members:
         with hero_chosen():
             if len(self) > 1:
                 return dr.switch(place, targets, *arguments, active & (place < len(self)))
-            return dr.switch(mi.UInt32(0), targets, *arguments, active & (place < 1))
+            # The label is part of a function's text. A function with the same text in a call of several objects would
+            # otherwise have the same name, and LLVM refuses to define it twice.
+            return dr.switch(mi.UInt32(0), targets, *arguments, active & (place < 1), label="the only object")
 
     def _object(self, number: int) -> mi.Object:
         return dr.reinterpret_array(self._kind, mi.UInt32(int(number)))[0]
