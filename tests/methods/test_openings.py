@@ -3,8 +3,10 @@ a fraction of the noise."""
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from support.tables import thinned
 
 import etendue
 from etendue import methods
+from etendue.methods import openings
 from etendue.methods.auto.method import FIXED
+from etendue.transport import emission
 
 METHODS = ("light", "bpt", "bpm", "vcm", "sppm", "pm", "auto")
 #: Methods whose next event looks for windows.
@@ -199,16 +203,16 @@ def test_each_light_point_has_its_own_direction():
     assert variances[1] < 0.4 * variances[0]
 
 
-@pytest.mark.parametrize("method", ["path", "auto"])
-def test_short_runs_do_not_look_through_windows(method):
+@pytest.mark.parametrize(("method", "settings"), [("path", {}), ("auto", {}), ("auto", {"choice": "path"})])
+def test_short_runs_do_not_look_through_windows(method, settings):
     for plan in ((1.0, None, None), (None, 2, None)):
-        made = prepared(scenes.hut("constant"), method, samples_per_pass=8)
+        made = prepared(scenes.hut("constant"), method, samples_per_pass=8, **settings)
         made.plan(*plan)
         made.step(0, 1)
         assert "windows" not in made.notes
     made.plan(60.0, None, None)
     made.step(1, 1)
-    assert method == "auto" or "windows" in made.notes
+    assert "windows" in made.notes
 
 
 def test_windows_of_a_scene_before_are_forgotten():
@@ -218,15 +222,38 @@ def test_windows_of_a_scene_before_are_forgotten():
     assert "windows" not in made.notes
 
 
-@pytest.mark.slow
-def test_a_run_can_be_continued(tmp_path):
-    """What was found is found again."""
-    file = tmp_path / "hut.checkpoint"
-    whole = etendue.render(scenes.hut("directional", "constant").scene, "bpt", spp=4, samples_per_pass=1)
-    etendue.render(scenes.hut("directional", "constant").scene, "bpt", spp=2, samples_per_pass=1, checkpoint=file)
-    rest = etendue.resume(file, scene=scenes.hut("directional", "constant").scene, spp=4)
-    assert rest.metadata["openings"] == whole.metadata["openings"]
+@pytest.mark.parametrize(
+    ("method", "samples"), [("path", 8192), *thinned([("bpt", 4), ("guided", 8192), ("auto", 8192)], [])]
+)
+def test_a_run_can_be_continued(method, samples, tmp_path):
+    """What was found is found again, also if what is left would be a short run."""
+    file, made = tmp_path / "hut.checkpoint", {"samples_per_pass": samples // 4}
+    whole = etendue.render(scenes.hut("directional", "constant").scene, method, spp=samples, **made)
+    etendue.render(scenes.hut("directional", "constant").scene, method, spp=3 * samples // 4, checkpoint=file, **made)
+    rest = etendue.resume(file, scene=scenes.hut("directional", "constant").scene, spp=samples)
+    names = [name for name in ("openings", "windows") if name in whole.metadata]
+    assert names and all(rest.metadata[name] == whole.metadata[name] for name in names)
     np.testing.assert_allclose(rest.image, whole.image, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("power", [0.0, 2000.0])
+def test_the_factor_is_that_of_the_densities(power):
+    """Also where next event rarely picks the sky."""
+    places = itertools.product((-0.7, -0.2, 0.3, 0.8), (-0.5, 0.5))
+    lamps = {f"lamp{i}": scenes.lamp((x, 0.8, z), 0.03, power) for i, (x, z) in enumerate(places) if power}
+    made = planned(scenes.hut("constant", **lamps), "path")
+    lines = openings._lines(made.method, 2)
+    o, d = (mi.Point3f(line.T.astype(np.float32)) for line in (lines.o, lines.d))
+    lights, sky = made.lights.at(o), mi.UInt32(made.lights.sky)
+    light, own = lights.row(sky), dr.full(mi.Float, 1.0 / (4.0 * np.pi), len(lines))
+    with_windows = emission.seen_through(lights, light, o, mi.Vector3f(d), own, mi.Bool(True))
+    gain = np.log((np.array(with_windows) + lines.scattered) / (np.array(light.pick * own) + lines.scattered))
+    assert made.notes["windows"] == pytest.approx(np.exp(np.average(gain, weights=lines.value)), rel=0.1)
+
+
+def test_the_window_of_a_room_in_a_wide_plain():
+    """It is looked for where surfaces in the picture are."""
+    assert planned(scenes.hut("constant", plain=2e4), "path").notes["windows"] > 5.0
 
 
 def test_black_skies_are_black():

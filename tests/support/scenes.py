@@ -329,9 +329,16 @@ def lamp(centre: Any, side: float, radiance: float) -> Dict:
     return {"type": "rectangle", "to_world": place, "emitter": _area(radiance, radiance, 0.8 * radiance)}
 
 
-def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False, window: float = 0.7) -> Problem:
-    """Inside a room on a plain with one square window, open or with a ``pane`` of glass, under skies and suns of
-    :data:`EMITTERS`."""
+def hut(
+    *emitters: str,
+    size: tuple[int, int] = (16, 12),
+    pane: bool = False,
+    window: float = 0.7,
+    plain: float = 8.0,
+    **things: Dict,
+) -> Problem:
+    """Inside a room on a ``plain`` of this half-width with one square window, open or with a ``pane`` of glass, under
+    skies and suns of :data:`EMITTERS`; with ``things``."""
     low, high, left, right = 0.25 - window / 2, 0.25 + window / 2, -0.05 - window / 2, -0.05 + window / 2
     scene: Dict = {"type": "scene", "sensor": camera((0.9, 0.6, 0.9), (-0.6, -0.1, -0.6), 80.0, size=size)}
     for name in emitters:
@@ -345,7 +352,7 @@ def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False, wi
     if pane:
         scene["pane"] = wall((1.04, 1.06), (low, high), (left, right), {"type": "dielectric"})
 
-    scene["plain"] = plate((0.0, -1.01, 0.0), 8.0, True)
+    scene["plain"] = plate((0.0, -1.01, 0.0), plain, True)
     walls = (
         *(((-1.1, 1.1), (-1.0, -0.9), (-1.1, 1.1)), ((-1.1, 1.1), (0.9, 1.0), (-1.1, 1.1))),
         *(((-1.1, 1.1), (-0.9, 0.9), (-1.1, -1.0)), ((-1.1, 1.1), (-0.9, 0.9), (1.0, 1.1))),
@@ -353,7 +360,7 @@ def hut(*emitters: str, size: tuple[int, int] = (16, 12), pane: bool = False, wi
         *(((1.0, 1.1), (-0.9, low), (-1.0, 1.0)), ((1.0, 1.1), (high, 0.9), (-1.0, 1.0))),
         *(((1.0, 1.1), (low, high), (-1.0, left)), ((1.0, 1.1), (low, high), (right, 1.0))),
     )
-    return load(scene | {f"wall{number}": wall(*place) for number, place in enumerate(walls)})
+    return load(scene | things | {f"wall{number}": wall(*place) for number, place in enumerate(walls)})
 
 
 def terrace(*emitters: str, size: tuple[int, int] = (16, 12), side: float = 8.0, ball: Dict | None = None) -> Problem:

@@ -139,8 +139,9 @@ class Method(ABC):
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:  # noqa: B027
         """Called before the first ``step`` of a run with its budget, ``None`` for each quantity without a limit.
-        ``passes`` is the number still to be made. The time of preparation is not subtracted from ``seconds``, so that
-        decisions by ``seconds`` do not depend on the clock."""
+        ``passes`` are all of a run, those of a checkpoint included, so that a continued run decides as a whole one. The
+        time of preparation is not subtracted from ``seconds``, so that decisions by ``seconds`` do not depend on the
+        clock."""
 
     def for_workers(self) -> tuple[str | None, dict[str, Any]]:
         """How a worker makes the method, if its class takes more than the settings: the name ``module:name`` of a

@@ -16,7 +16,7 @@ faces of those with most mass are moved as long as that makes the rays likelier.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -118,26 +118,28 @@ def fit_boxes(
     *,
     replaced: Array,
     kept: Array,
-    part: float = 1.0,
+    part: Array | float = 1.0,
     most: float,
 ) -> tuple[Boxes, float] | None:
     """The boxes between the corners ``lower`` and ``upper`` that make rays most likely, and their share. Rays: origins
     and unit directions (n, 3), weights (n,), densities (n,) ``replaced``, of a sampling of which the boxes take a
-    share, at ``most`` so much, and ``kept``, of others. ``part``: probability with which that sampling samples at all.
+    share, at ``most`` so much, and ``kept``, of others. ``part``: probability with which that sampling samples at all,
+    of each ray or of all.
 
     Returns the boxes and the factor by which rays are likelier with them, a geometric mean over rays that the fit has
     not used (but to tell when to look closer); None if there are too few."""
-    edge = _EDGE * np.max(np.subtract(upper, lower))  # the room may be flat
-    if len(o) < _LEAST or not weight.sum() > 0.0 or not edge > 0.0:
+    longest = np.max(np.subtract(upper, lower))
+    if len(o) < _LEAST or not weight.sum() > 0.0 or not longest > 0.0:
         return None
     step = max(2, len(o) // _MOST)
-    rays = _Rays(o, d, weight, replaced, kept, part, most)
+    rays = _Rays(o, d, weight, replaced, kept, np.broadcast_to(np.asarray(part, np.float64), len(o)), most)
     fitted, judging = (rays.every(step, first) for first in (0, 1))
+    edge = _EDGE * longest  # the room may be flat
     room = Boxes(np.array([lower - edge]), np.array([upper + edge]), np.full(1, most))
     boxes: Boxes | None = None
     score = -np.inf
     while True:
-        closer = _fewer(fitted, _refined(fitted, _parted(fitted, room), _THIN * edge / _EDGE))
+        closer = _fewer(fitted, _refined(fitted, _parted(fitted, room), _THIN * longest))
         found = judging.score(judging.shares(closer), closer.mass)
         if not found > score:
             break
@@ -158,14 +160,14 @@ class _Rays:
     weight: Array
     replaced: Array
     kept: Array
-    part: float
+    part: Array
     most: float
 
     def every(self, step: int, first: int = 0) -> _Rays:
         """Every so-many-th of them."""
         some = slice(first, None, step)
-        densities = self.replaced[some], self.kept[some]
-        return _Rays(self.o[some], self.d[some], self.weight[some], *densities, self.part, self.most)
+        rows = {name: getattr(self, name)[some] for name in ("o", "d", "weight", "replaced", "kept", "part")}
+        return replace(self, **rows)
 
     def shares(self, boxes: Boxes) -> Array:
         """(rays, boxes): density of a ray by a box that has all of the share."""
@@ -173,7 +175,8 @@ class _Rays:
         first, second = ((corner - self.o[:, None]) * inverse for corner in (boxes.lower, boxes.upper))
         begin = np.maximum(np.minimum(first, second).max(axis=2), 0.0)
         end = np.maximum(np.maximum(first, second).min(axis=2), begin)
-        result: Array = self.part * (end**3 - begin**3) / (3.0 * (boxes.upper - boxes.lower).prod(axis=1))
+        volume = (boxes.upper - boxes.lower).prod(axis=1)
+        result: Array = self.part[:, None] * (end**3 - begin**3) / (3.0 * volume)
         return result
 
     def density(self, shares: Array, mass: Array) -> Array:
@@ -297,8 +300,9 @@ def _refined(rays: _Rays, boxes: Boxes, least: float) -> Boxes:
     for _ in range(_ROUNDS):
         for box, axis, side, way in np.ndindex(len(boxes), 3, 2, 2):
             moved = corners[:, box].copy()
-            moved[side, axis] += (part if way == side else -part) * (moved[1, axis] - moved[0, axis])
-            if moved[1, axis] - moved[0, axis] < least:
+            length = moved[1, axis] - moved[0, axis]
+            moved[side, axis] += (part if way == side else -part) * length
+            if moved[1, axis] - moved[0, axis] < min(least, length):
                 continue
             tried = shares.copy()
             tried[:, box] = rays.shares(Boxes(moved[:1], moved[1:], np.ones(1)))[:, 0]

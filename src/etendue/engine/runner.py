@@ -210,7 +210,7 @@ class Runner:
         """The order for the executor."""
         done = self._measurement.iterations if self._measurement is not None else Iterations()
         most = self.budget.passes(self.method.samples_per_iteration)
-        plan = self.budget.seconds, None if most is None else max(0, most - len(done)), self.budget.error
+        plan = self.budget.seconds, most, self.budget.error
         self.method.plan(*plan)
         return Order(self.method, self.seed, self._state, done, most, self._left, plan)
 

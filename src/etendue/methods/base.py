@@ -243,7 +243,7 @@ class ImageMethod(Method):
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
-        self.notes: dict[str, Any] = {}  #: for the metadata of pictures, found by ``prepare``
+        self.notes: dict[str, Any] = {}  #: for the metadata of pictures, of one scene
         if uses_cuda():
             self.least_passes = max(self.least_passes, _GPU_PASSES)
         if self.settings.for_denoising:
@@ -278,7 +278,7 @@ class ImageMethod(Method):
         # Variables are emitted in the order of scopes: those of the scene before all others, once there is a new scope.
         # Without one, the first kernel of a pilot would not be that of the passes.
         dr.while_loop((mi.UInt32(0),), lambda n: n < 1, lambda n: (n + 1,), mode="symbolic", label="new scope")
-        self.problem, self.scene = problem, problem.scene
+        self.problem, self.scene, self.notes = problem, problem.scene, {}
         self.bands = self._bands_of(problem)
         self.packet = Packet(self.bands)
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent", self.packet)

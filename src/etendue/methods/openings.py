@@ -3,6 +3,7 @@ event looks for skies. And mirrors and glass on which a sun shines, where its li
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import drjit as dr
@@ -21,6 +22,8 @@ _PATHS, _PILOTS, _ENOUGH, _RAYS = 1 << 16, 16, 1 << 11, 1 << 12
 #: Share of the sky that is seen from the surfaces in the picture above which nothing is learned; that for a sky without
 #: a sun if its light is also sampled at the camera's side: light paths are then worth less than they cost.
 _OPEN, _EVEN = 0.25, 0.003
+#: Camera paths of a run up to which, and seconds below which it is too short for a pilot that only saves noise.
+PREVIEW, _SHORT = 1 << 20, 3.0
 #: Share of the light of infinite lights that reaches mirrors and glass above which no light paths are aimed at them.
 _CASTERS = 0.2
 
@@ -31,9 +34,8 @@ class OpeningSettings(Settings):
 
     openings: bool = setting(
         True,
-        "where walls hide most of the sky, find windows by camera paths: next event estimation samples the sky through "
-        "them, and light paths of skies and suns enter there; bpt, vcm and auto also aim those of suns at mirrors and "
-        "glass",
+        "where walls hide most of the sky, find windows by camera paths: light paths of skies and suns enter there; "
+        "bpt, vcm and auto also sample the sky through them, and aim light paths of suns at mirrors and glass",
     )
 
     @property
@@ -47,10 +49,14 @@ class OpeningSettings(Settings):
         return True
 
 
-def forget(method: ImageMethod) -> None:
-    """Drop what has been noted of the scene before."""
-    for name in ("openings", "windows"):
-        method.notes.pop(name, None)
+def camera_paths_of(method: ImageMethod, passes: int | None) -> float:
+    """Camera paths of a run of a prepared method."""
+    return math.inf if passes is None else passes * method.samples_per_iteration * method.camera.pixels
+
+
+def is_short(method: ImageMethod, seconds: float | None, passes: int | None) -> bool:
+    """Whether a run, as told to :meth:`Method.plan`, is too short to look for windows."""
+    return camera_paths_of(method, passes) <= PREVIEW or (seconds is not None and seconds < _SHORT)
 
 
 @own_kernels(optimise=False)  # a few passes
@@ -59,15 +65,15 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
     along which camera paths have found them, if the surfaces in the picture see little of the sky, and of those of suns
     that meet mirrors and glass; both if that makes these lines much likelier. Next event's directions to skies pass the
     windows of these lines."""
-    forget(method)
     lights = method.lights
     o = method.settings
     if not (isinstance(o, OpeningSettings) and o.openings and lights.has_infinite) or lights.is_black:
         return lights
-    by_next_event = o.samples_sky and lights.soft_share > 0.0
+    by_next_event = o.samples_sky and lights.sky is not None
     if not (by_next_event or o.has_light_paths):
         return lights
-    sky = look_around(method, seed).sky
+    around = look_around(method, seed)
+    sky = around.sky
     seen = _lines(method, seed) if sky <= _OPEN else None
     if o.has_light_paths:
         both = [_to_casters(method, seed)] if lights.has_sun and o.samples_sky else []
@@ -79,7 +85,7 @@ def through_openings(method: ImageMethod, seed: int) -> LightTable:
             lights, gain = found
             logger.info("openings: lines to windows, mirrors and glass are sampled %.0f times as often", gain)
             method.notes["openings"] = float(f"{gain:.3g}")
-    if seen and by_next_event and (found := seen.windows(lights)):
+    if seen and by_next_event and (found := seen.windows(lights, (around.lower, around.upper))):
         lights, gain = found
         logger.info("openings: directions to the sky through windows are sampled %.1f times as often", gain)
         method.notes["windows"] = float(f"{gain:.3g}")

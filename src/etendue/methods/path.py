@@ -13,7 +13,6 @@ Limits: light of a point or spot light through glass or mirrors is not found; th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
@@ -28,14 +27,12 @@ from etendue.transport import CameraPath, DirectWeights, FirstHits, Proposal, Wa
 
 from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .ending import EndingSettings, EndsInMap
-from .openings import OpeningSettings, forget, through_openings
+from .openings import OpeningSettings, is_short, through_openings
 
 #: Traces paths along camera rays, as :meth:`Path.trace`.
 Trace: TypeAlias = "Callable[[mi.Ray3f, SampleSource, FirstHits | None], CameraPath]"
 
 
-#: Camera paths of a run up to which, and seconds below which it is too short to look for windows.
-_PREVIEW, _LEAST = 1 << 20, 3.0
 #: Factor on the probability of surviving roulette in media that scatter, where paths are long and carry similar light.
 _IN_FOG = 2.0
 
@@ -116,15 +113,12 @@ class Path(EndsInMap):
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`."""
         super().prepare(problem, seed)
-        forget(self)
         self._seed, self._has_looked = seed, False
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`. Looks for windows, unless the run is too short for it."""
-        paths = math.inf if passes is None else passes * self.samples_per_iteration * self.camera.pixels
-        if self._has_looked or paths <= _PREVIEW or (seconds is not None and seconds < _LEAST):
-            return
-        self.lights, self._has_looked = through_openings(self, self._seed), True
+        if not self._has_looked and not is_short(self, seconds, passes):
+            self.lights, self._has_looked = through_openings(self, self._seed), True
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Twice as many: a pass is short, and its fixed cost counts."""

@@ -367,7 +367,7 @@ def _direct_infinite(
         u_point = mi.Point2f(dr.select(soft, dr.clip(own_u, 0.0, 1.0 - 2.0**-24), u_point.x), u_point.y)
     ds, weight = light.sample_direction("infinite", si, u_point, mask)
     usable, d, own = mask & (ds.pdf > 0.0), mi.Vector3f(ds.d), mi.Float(ds.pdf)
-    target, radiance, pdf = mi.Point3f(ds.p), weight, light.pick * own
+    target, radiance, pdf = mi.Point3f(ds.p), weight / light.pick, light.pick * own
     if through is not None:
         d = dr.select(through, dr.normalize(place - si.p), d)
         target = dr.select(through, si.p + d * ds.dist, target)
@@ -375,10 +375,10 @@ def _direct_infinite(
         own = dr.select(through, density, own)
         pdf = seen_through(lights, light, si.p, d, own, mask)
         usable = mask & (pdf > 0.0)
-        radiance = dr.select(through, shone, weight * ds.pdf) * (light.pick / dr.select(usable, pdf, 1.0))
+        radiance = dr.select(through, shone, weight * ds.pdf) / dr.select(usable, pdf, 1.0)
     out.direction[usable] = d
     out.target[usable] = target
-    out.radiance[usable] = radiance / light.pick
+    out.radiance[usable] = radiance
     out.pdf[usable] = pdf
     emission = light.emitted * own * _place_density(lights, light, si.p, d, usable)
     out.light_ratio[usable] = emission / dr.select(usable, pdf, 1.0)

@@ -47,7 +47,7 @@ from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, 
 from .. import radius as radii
 from ..base import REWEIGHT, CameraSettings, ImageMethod, Layer
 from ..bidirectional import BidirectionalSettings, Vcm
-from ..openings import OpeningSettings, forget, through_openings
+from ..openings import PREVIEW, OpeningSettings, camera_paths_of, is_short, through_openings
 from ..path import Path, Trace, camera_paths, path_pass, traced
 from .efficiency import LEARNING, PHOTON, Learned, PassWork, tile_pixels
 from .noise import noise_of_paths
@@ -82,8 +82,6 @@ _LEAST, _PER_KIND = 5.0, 1.0
 _HASTY, _HASTY_PER_KIND, _TESTING = 0.2, 0.33, 0.5
 #: Noise of path tracing above which light paths pay.
 _NOISY = 5.0
-#: Camera paths of a run up to which it counts as one of no time: its kernels would take longer than its passes.
-_PREVIEW = 1 << 20
 #: Share of a run's cost for passes that learn, after the first ones.
 _SHARE = 0.06
 #: Least ratio of products of error and cost at which the counts stay as they are.
@@ -152,7 +150,6 @@ class Auto(Carrying, ImageMethod):
         super().prepare(problem, seed)
         self._seed = seed
         self._opened: LightTable | None = None
-        forget(self)
         self._vcm_state: State = {}
         self._choice = self.settings.choice
         if one_way(problem.scene) is not None:
@@ -184,8 +181,9 @@ class Auto(Carrying, ImageMethod):
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`."""
-        if passes is not None and passes * self.samples_per_iteration * self.camera.pixels <= _PREVIEW:
-            seconds = 0.0
+        self._short = is_short(self, seconds, passes)
+        if camera_paths_of(self, passes) <= PREVIEW:
+            seconds = 0.0  # the kernels would take longer than the passes
         self._brief = self._without_learning(seconds)
 
     def full_lanes(self) -> int:
@@ -348,7 +346,7 @@ class Auto(Carrying, ImageMethod):
     def _lights_of_paths(self) -> LightTable:
         """The lights for path tracing, with the probabilities of the passes that predict its error."""
         if self._vcm is None and "emission" not in self._vcm_state:
-            return self.lights if self._brief else self._through_openings()
+            return self.lights if self._short and not self._learned.passes else self._through_openings()
         return self._estimator().sampled_lights
 
     # ------------------------------------------------------------------ learning

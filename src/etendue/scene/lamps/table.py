@@ -176,8 +176,9 @@ class LightTable:
         self.has_sun = any(r.is_sun for r in rows)
         #: Whether a light is a mesh with vertex normals.
         self.has_smooth = any(r.cells is not None and is_smooth(e) for r, e in zip(rows, emitters, strict=True))
-        #: Probability with which next event picks a sky.
-        self.soft_share = float(pick @ [r.kind == "infinite" and not r.is_delta for r in rows])
+        skies = [n for n, r in enumerate(rows) if r.kind == "infinite" and not r.is_delta and pick[n] > 0.0]
+        #: Number of the sky, of which a scene has at most one; None: next event picks no sky.
+        self.sky = skies[0] if skies else None
         self.has_sphere = any(r.sphere[3] for r in rows)
         self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
         #: Point sampling on area lights whose radiance varies; None if the scene has no such light.

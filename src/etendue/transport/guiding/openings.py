@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SampleSource
+from etendue.core import Array, SampleSource, copied_to_device
 from etendue.density import LEAST_LINES, LineDensity, fit_boxes, fit_lines
 from etendue.scene import LightTable, brightness
 
@@ -117,11 +117,16 @@ class Lines:
 
     @classmethod
     def of(
-        cls, o: mi.Point3f, d: mi.Vector3f, value: mi.Float, picked: mi.Float | None = None, scattered: mi.Float = 0.0
+        cls,
+        o: mi.Point3f,
+        d: mi.Vector3f,
+        value: mi.Float,
+        picked: mi.Float | float = 0.0,
+        scattered: mi.Float | float = 0.0,
     ) -> Lines:
         """Those of the device that contribute."""
         zeros = dr.zeros(mi.Float, dr.width(value))
-        picked, scattered = (zeros if density is None else density + zeros for density in (picked, scattered))
+        picked, scattered = picked + zeros, scattered + zeros
         dr.eval(o, d, value, picked, scattered)
         value, picked, scattered = (np.nan_to_num(np.array(one, np.float64)) for one in (value, picked, scattered))
         found = value > 0.0
@@ -157,16 +162,18 @@ class Lines:
             return None
         return lights.through(LineDensity(found[0]), _SHARE), found[1]
 
-    def windows(self, lights: LightTable) -> tuple[LightTable, float] | None:
+    def windows(self, lights: LightTable, around: tuple[Array, Array]) -> tuple[LightTable, float] | None:
         """(the lights with directions of next event learned from the lines, by what factor next event and scattering
-        together are likelier to find the lines, a geometric mean); None if little is gained. Lines through panes, which
-        next event does not pass, gain nothing."""
+        together are likelier to find the lines, a geometric mean); None if little is gained. ``around``: corners of a
+        box in which windows are looked for. Lines through panes, which next event does not pass, gain nothing."""
         passed = self.picked > 0.0
         few = self[passed]._few()
-        if not few:
+        if not few or lights.sky is None:
             return None
         rays, densities = (few.o, few.d, few.value), {"replaced": few.picked, "kept": few.scattered}
-        found = fit_boxes(*rays, *lights.box, **densities, part=lights.soft_share, most=_SHARE)
+        place = mi.Point3f(*(copied_to_device(mi.Float, x.astype(np.float32)) for x in few.o.T))
+        part = np.array(lights.at(place).row(mi.UInt32(lights.sky)).pick, np.float64)
+        found = fit_boxes(*rays, *around, **densities, part=part, most=_SHARE)
         gain = found[1] ** float(self.value[passed].sum() / self.value.sum()) if found else 0.0
         return (lights.seen_through(found[0]), gain) if found and gain >= _SEEN_GAIN else None
 
