@@ -312,6 +312,14 @@ def test_a_short_run_learns_nothing(lamp, material, seconds, choice):
     assert method.state()["learned"]["passes"] == 0
 
 
+def test_a_short_run_finds_beams():
+    """Only light paths do."""
+    beam = {"type": "rectangle", "emitter": {"type": "directionalarea", "radiance": scenes.rgb(2, 2, 2)}}
+    method = prepared(scenes.hut(beam=beam), "auto").method
+    method.plan(1.0, None, None)
+    assert describe(method._brief) == "bpt"
+
+
 @pytest.mark.parametrize(
     ("name", "seconds", "choice"),
     [("cornell-box", 5.0, "path"), ("ajar", 2.0, "bpt"), ("ajar", 1.5, "path"), ("street", 5.0, "vcm")],

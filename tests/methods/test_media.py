@@ -103,6 +103,20 @@ def test_nested_glass_and_media_around_camera_and_lamp(method):
     np.testing.assert_allclose(picture.mean((0, 1)) / expected, 1.0, atol=0.01 if method == "path" else 0.03)
 
 
+@pytest.mark.parametrize("method", ["path", "light", "bpt"])
+def test_a_sky_behind_the_fog_around_the_camera(method):
+    scene = {
+        "type": "scene",
+        "fog": fog((0.3, 0.6, 0.9), 0.0),
+        "camera": camera((0, 0, 0), (0, 0, -1), 4, 60.0, medium=FOG, near_clip=1e-4),
+        "room": {"type": "sphere", "radius": 2.0, "bsdf": {"type": "null"}, "interior": FOG},
+        "sky": {"type": "constant", "radiance": rgb(1, 1, 1)},
+    }
+    picture = etendue.render(scene, method, spp=4096, seed=1).image[..., :3]
+    expected = np.exp(-2.0 * np.array([0.3, 0.6, 0.9]))
+    np.testing.assert_allclose(picture.mean((0, 1)) / expected, 1.0, atol=0.03 if method == "light" else 0.001)
+
+
 def test_tinted_glass():
     """Smooth and rough glass with an absorbing interior, as by Mitsuba: its ``volpath`` has no other techniques."""
     for bsdf in ({"type": "dielectric"}, {"type": "roughdielectric", "alpha": 0.2}):

@@ -191,7 +191,10 @@ class LightTracing(Carrying, ImageMethod):
         active &= place.on_film & ~dr.all(contribution == 0.0)
         rays = ones(active)
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
-        sight = self.visibility.along(ray, crossings, active, self.visibility.medium_outside(light.row, ray))
+        medium = self.visibility.medium_outside(light.row, ray)
+        if self.visibility.media is not None and medium is not None:
+            medium = dr.select(light.is_infinite, self.visibility.media.of_sensor, medium)
+        sight = self.visibility.along(ray, crossings, active, medium)
         active = sight.visible
         contribution *= sight.transmittance
         found = Contribution([contribution], contribution, active, active)

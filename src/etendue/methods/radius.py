@@ -12,7 +12,7 @@ import numpy as np
 
 from etendue.core import IndependentSource, OptionError
 from etendue.density import KdTree
-from etendue.scene import Problem, materials
+from etendue.scene import Problem, box_of, materials
 from etendue.transport import Gather, LightVertices, Places, Walker, first_collisions, first_smooth
 
 from .base import ImageMethod
@@ -236,5 +236,5 @@ def half_diagonal(method: ImageMethod) -> float:
 
 def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner of a scene's bounding box."""
-    box = problem.scene.bbox()
+    box = box_of(problem.scene)
     return np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()

@@ -11,6 +11,7 @@ import numpy as np
 
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
+from .bounds import box_of
 from .changes.transforms import settle_transforms
 from .instantiating import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
@@ -51,7 +52,7 @@ def shape_boxes(problem: Problem) -> tuple[list[str], Array]:
         raise UnsupportedError(f"{problem.source} has several shapes with the id '{twice}'; give each its own")
     if not problem.space.is_own:
         raise UnsupportedError(f"{problem.source} is rendered in other coordinates than its own, and cannot be cut")
-    boxes = [[*np.ravel(shape.bbox().min), *np.ravel(shape.bbox().max)] for shape in shapes]
+    boxes = [[*np.ravel(box.min), *np.ravel(box.max)] for box in map(box_of, shapes)]
     return ids, np.array(boxes, np.float64).reshape(-1, 6)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from etendue.core import Array, logger
 
+from .bounds import box_of
 from .graph import plugin_name
 
 if TYPE_CHECKING:
@@ -157,5 +158,5 @@ def _seen(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
 
 
 def _corners(scene: mi.Scene) -> tuple[Array, Array]:
-    box = scene.bbox()
+    box = box_of(scene)
     return np.asarray(box.min, dtype=float).ravel(), np.asarray(box.max, dtype=float).ravel()

@@ -367,17 +367,17 @@ def _direct_infinite(
         u_point = mi.Point2f(dr.select(soft, dr.clip(own_u, 0.0, 1.0 - 2.0**-24), u_point.x), u_point.y)
     ds, weight = light.sample_direction("infinite", si, u_point, mask)
     usable, d, own = mask & (ds.pdf > 0.0), mi.Vector3f(ds.d), mi.Float(ds.pdf)
-    target, radiance, pdf = mi.Point3f(ds.p), weight / light.pick, light.pick * own
+    radiance, pdf = weight / light.pick, light.pick * own
     if through is not None:
         d = dr.select(through, dr.normalize(place - si.p), d)
-        target = dr.select(through, si.p + d * ds.dist, target)
         shone, density = _along(light, d, through)
         own = dr.select(through, density, own)
         pdf = seen_through(lights, light, si.p, d, own, mask)
         usable = mask & (pdf > 0.0)
         radiance = dr.select(through, shone, weight * ds.pdf) / dr.select(usable, pdf, 1.0)
     out.direction[usable] = d
-    out.target[usable] = target
+    # Behind all surfaces. Mitsuba's own point may not be: see ``box_of``.
+    out.target[usable] = si.p + d * (2.0 * dr.maximum(lights.bound.w, dr.norm(si.p - lights.bound.xyz)))
     out.radiance[usable] = radiance
     out.pdf[usable] = pdf
     emission = light.emitted * own * _place_density(lights, light, si.p, d, usable)

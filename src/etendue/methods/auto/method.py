@@ -465,7 +465,7 @@ class Auto(Carrying, ImageMethod):
             return None
         is_specular = self._has_specular()
         counts = FIXED["vcm" if is_specular or not self.camera.can_splat else "bpt"]
-        if self.lights.has_sun and self._through_openings().lines is not None:
+        if self.lights.has_beam or (self.lights.has_sun and self._through_openings().lines is not None):
             return counts
         if is_specular and self.lights.has_delta:
             return counts  # for caustics that paths from the camera never find

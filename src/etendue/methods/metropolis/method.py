@@ -67,9 +67,11 @@ _LONGEST = 16
 
 
 def beside_paths(method: ImageMethod) -> type[ImageMethod]:
-    """The estimator beside chains over camera paths: ``bpt``, but ``path`` in scenes with lights that no ray can hit,
-    whose light through mirrors and glass only ``bpt`` finds, and where directions are not sampled by materials."""
-    return Path if method.lights.has_delta or not method.settings.bsdf_sampling else Bpt
+    """The estimator beside chains over camera paths: ``bpt``, but ``path`` in scenes with lights that no ray can hit or
+    that emit beams, whose light through mirrors and glass, or all, only ``bpt`` finds, and where directions are not
+    sampled by materials."""
+    lights = method.lights
+    return Path if lights.has_delta or lights.has_beam or not method.settings.bsdf_sampling else Bpt
 
 
 def halves_as_layers(pictures: Array, name: str = "image") -> dict[str, Array]:

@@ -131,7 +131,7 @@ class LightsAt:
         self.has_area, self.has_point = table.has_area, table.has_point
         self.has_infinite, self.has_beam = table.has_infinite, table.has_beam
         self.points, self.has_sphere, self.has_smooth = table.points, table.has_sphere, table.has_smooth
-        self.lines, self.windows = table.lines, table.windows
+        self.lines, self.windows, self.bound = table.lines, table.windows, table.bound
         self._groups = table.groups
         self._weights = [] if p is None or self._groups is None else self._groups.weights(p)  # empty: by the table
 

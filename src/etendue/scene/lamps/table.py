@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from etendue.core import Array, SceneError, as_array, copied_to_device, in_steps, on_device
 from etendue.density import BoxDensity, Boxes, LineDensity
 
+from ..bounds import box_of
 from ..graph import contents, plugin_name
 from ..members import Members
 from ..packet import Packet, spread_wavelengths
@@ -124,7 +125,7 @@ class LightTable:
         emitters = scene.emitters()
         if not emitters:
             raise SceneError("the scene has no emitter, so every picture would be black; add a light source")
-        box = scene.bbox()
+        box = box_of(scene)
         sphere = box.bounding_sphere()
         #: Corners of the box of the scene's geometry, on the host.
         self.box = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
@@ -370,7 +371,7 @@ class _Row:
             even = 4.0 * np.pi * self.direction_density
             return Lamp(power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
         shape = emitter.get_shape()
-        box = shape.bbox()
+        box = box_of(shape)
         low, high = (np.asarray(corner, np.float64).ravel() for corner in (box.min, box.max))
         centre, extent = (0.5 * (low + high)).tolist(), 0.5 * float(np.linalg.norm(high - low))
         if self.kind == "area" and plugin_name(shape) in ("rectangle", "disk"):

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import Array, SceneError, State, on_host
-from etendue.scene import LightEdits, PortableScene, Problem, locate, portable, restored
+from etendue.scene import LightEdits, PortableScene, Problem, box_of, locate, portable, restored
 
 from ..camera import Pose, place
 from ..refining import Refinement
@@ -106,7 +106,7 @@ class Order:
 
 
 def _corners(problem: Problem) -> tuple[Array, Array]:
-    box = problem.scene.bbox()
+    box = box_of(problem.scene)
     low, high = (np.asarray(corner, dtype=np.float64).ravel() for corner in (box.min, box.max))
     return low, high
 

@@ -1,0 +1,18 @@
+"""Boxes around shapes and scenes."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+
+def box_of(item: mi.Scene | mi.Shape) -> mi.ScalarBoundingBox3f:
+    """The box around a shape, or around all shapes of a scene. Mitsuba 3.9 loads rectangles of one material as one mesh
+    that does not know where they are, and leaves them out of its own boxes, that of the scene included."""
+    box = mi.ScalarBoundingBox3f(item.bbox())
+    for shape in item.shapes() if isinstance(item, mi.Scene) else [item]:
+        if shape.class_name() == "Mesh" and shape.vertex_count() > 0:
+            corners = np.array(shape.vertex_positions_buffer()).reshape(-1, 3)
+            for corner in (corners.min(axis=0), corners.max(axis=0)):
+                box.expand(mi.ScalarPoint3f(*map(float, corner)))
+    return box
