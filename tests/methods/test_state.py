@@ -112,7 +112,7 @@ def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, 
 def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
     method, settings, owner, step, call, error = LEARNERS[name]
     problem = scenes.room("mixed", scenes.FEW)
-    monkeypatch.setattr("etendue.methods.auto.method._PREVIEW", 0)
+    monkeypatch.setattr("etendue.methods.auto.method.PREVIEW", 0)
 
     def new() -> Any:
         return prepared(problem, method, **settings).method
