@@ -249,12 +249,3 @@ def _nearest(p: Array, plane: Array) -> float:
     for i in range(len(p)):
         least = min(least, plane[0] * p[i, 0] + plane[1] * p[i, 1] + plane[2] * p[i, 2] - plane[3])
     return least
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _farthest(p: Array, plane: Array) -> float:
-    """The largest ``n . x - c`` of the corners."""
-    most = -np.inf
-    for i in range(len(p)):
-        most = max(most, plane[0] * p[i, 0] + plane[1] * p[i, 1] + plane[2] * p[i, 2] - plane[3])
-    return most
