@@ -6,7 +6,7 @@ import pytest
 from support import scenes
 
 import etendue
-from etendue.scene import box_of
+from etendue.scene import corners_of
 
 
 def room():
@@ -33,8 +33,8 @@ def room():
 def test_merged_rectangles_are_in_the_box():
     loaded = mi.load_dict(room())
     assert len(loaded.shapes()) == 2  # Mitsuba has merged them
-    for corner, expected in ((box_of(loaded).min, -1.0), (box_of(loaded).max, 1.0)):
-        np.testing.assert_allclose(np.ravel(corner), expected, atol=1e-6)
+    for corner, expected in zip(corners_of(loaded), (-1.0, 1.0), strict=True):
+        np.testing.assert_allclose(corner, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("method", ["path", "bpt", "light"])

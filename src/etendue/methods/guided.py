@@ -38,7 +38,7 @@ from etendue.core import (
     setting,
 )
 from etendue.film import Component
-from etendue.scene import Problem, box_of
+from etendue.scene import Problem, corners_of
 from etendue.transport import FITS, FOUND_UNITS, CameraPath, FirstHits, Guide, GuidedPath, GuidedWalk, TrainingSamples
 
 from .base import STEP_LANES, ImageSettings, Layer, total
@@ -119,8 +119,7 @@ class Guided(Carrying, EndsInMap):
         self._forget_states()
         super().prepare(problem, seed)
         self.lights = through_openings(self, seed)
-        box = box_of(problem.scene)
-        lower, upper = (np.asarray(corner, np.float64).ravel().tolist() for corner in (box.min, box.max))
+        lower, upper = (corner.tolist() for corner in corners_of(problem.scene))
         learned = self.settings.learn_lights and self.settings.generations > 0
         self._guide = Guide(lower, upper, self.lights if learned else None)
         self._generation = 0

@@ -191,9 +191,9 @@ class LightTracing(Carrying, ImageMethod):
         active &= place.on_film & ~dr.all(contribution == 0.0)
         rays = ones(active)
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
-        medium = self.visibility.medium_outside(light.row, ray)
-        if self.visibility.media is not None and medium is not None:
-            medium = dr.select(light.is_infinite, self.visibility.media.of_sensor, medium)
+        medium, media = self.visibility.medium_outside(light.row, ray), self.visibility.media
+        if media is not None:
+            medium = dr.select(light.is_infinite, media.of_sensor, medium)
         sight = self.visibility.along(ray, crossings, active, medium)
         active = sight.visible
         contribution *= sight.transmittance

@@ -12,7 +12,7 @@ import numpy as np
 
 from etendue.core import IndependentSource, Settings, copied_to_device, logger, own_kernels, setting
 from etendue.density import LEAST_LINES
-from etendue.scene import LightTable, box_of, brightness, graph
+from etendue.scene import LightTable, brightness, corners_of, graph
 from etendue.transport import DirectWeights, Lines, OpeningWalk, Surroundings, dimensions as dim, emit, surroundings
 
 from .base import ImageMethod
@@ -116,10 +116,10 @@ def _pilot(method: ImageMethod, seed: int, number: int) -> Lines:
 def _to_casters(method: ImageMethod, seed: int) -> Lines | None:
     """Lines of infinite lights to the mirrors and glass that they shine on, whose caustics are noise if few light paths
     meet them; None if many do anyway."""
-    boxes = [box_of(shape) for shape in graph.shapes(method.scene) if _focuses(shape.bsdf())]
+    boxes = [corners_of(shape) for shape in graph.shapes(method.scene) if _focuses(shape.bsdf())]
     if not boxes:
         return None
-    corners = np.array([[np.ravel(box.min), np.ravel(box.max)] for box in boxes], np.float32)
+    corners = np.array(boxes, np.float32)
     radius = 0.5 * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     balls = copied_to_device(mi.Float, np.column_stack([corners.mean(axis=1), radius]))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from etendue.core import IndependentSource, OptionError
 from etendue.density import KdTree
-from etendue.scene import Problem, box_of, materials
+from etendue.scene import corners_of, materials
 from etendue.transport import Gather, LightVertices, Places, Walker, first_collisions, first_smooth
 
 from .base import ImageMethod
@@ -230,11 +230,5 @@ def _sight(method: ImageMethod) -> tuple[float, np.ndarray | None, tuple[mi.Poin
 
 def half_diagonal(method: ImageMethod) -> float:
     """Half the diagonal of the bounding box of a prepared method's scene."""
-    lower, upper = corners(method.problem)
+    lower, upper = corners_of(method.scene)
     return 0.5 * float(np.linalg.norm(upper - lower))
-
-
-def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of a scene's bounding box."""
-    box = box_of(problem.scene)
-    return np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()

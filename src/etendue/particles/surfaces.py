@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array
-from etendue.scene import Problem, box_of, graph
+from etendue.scene import Problem, corners_of, graph
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -87,8 +87,7 @@ class SurfaceTable:
             count = int(shape.effective_primitive_count()) if graph.plugin_name(shape) == "instance" else 1
             primitives.append(len(corners) if corners is not None else max(1, count))
             framed.append(corners is not None)
-            box = box_of(shape)
-            boxes.append(np.ravel([problem.space.to_scene(np.ravel(corner)) for corner in (box.min, box.max)]))
+            boxes.append(np.ravel([problem.space.to_scene(corner) for corner in corners_of(shape)]))
             if corners is not None:
                 frames.append(np.concatenate([problem.space.to_scene(corners[:, :3]), corners[:, 3:] / scale], axis=1))
         self.surfaces = Surfaces(

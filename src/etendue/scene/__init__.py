@@ -7,7 +7,7 @@ from etendue.core import on_use
 if TYPE_CHECKING:
     from . import graph as graph, meshes as meshes
     from .bands import Bands as Bands, band_names as band_names, require_colours as require_colours
-    from .bounds import box_of as box_of
+    from .bounds import centre_of as centre_of, corners_of as corners_of
     from .builtin.table import BundledScene as BundledScene, bundled as bundled, bundled_scene as bundled_scene
     from .camera import MOVABLE as MOVABLE, Camera as Camera, described_sensor as described_sensor
     from .capability import check as check, is_dark as is_dark, one_way as one_way, refuse_one_way as refuse_one_way

@@ -13,7 +13,7 @@ import numpy as np
 
 from etendue.core import Array, SceneError, copied_to_device
 
-from .bounds import box_of
+from .bounds import corners_of
 from .graph import describe, shapes
 from .media import UNKNOWN, Media, media_of, medium_behind, number_of, scatters
 from .space import warn_once
@@ -157,7 +157,7 @@ def check_media(scene: mi.Scene, sensor: mi.Sensor) -> None:
     # Before the first surface, and behind it: once more from a point in between, into any direction.
     for _ in range(2):
         si = scene.ray_intersect(ray)
-        length = dr.minimum(si.t, dr.norm(box_of(scene).extents()))
+        length = dr.minimum(si.t, float(np.linalg.norm(np.subtract(*corners_of(scene)))))
         _fits(scene, sensor, _crossed(scene, mi.Ray3f(ray(share * length), way), medium), named)
         goes_on = si.is_valid() & _is_clear(si)
         medium = dr.select(goes_on, medium_behind(si, ray.d, medium), medium)

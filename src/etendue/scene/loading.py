@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
 
-from .bounds import box_of
+from .bounds import centre_of
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene, check_light
@@ -405,7 +405,7 @@ def _stand_in(scene: mi.Scene) -> mi.Sensor:
     """A camera in the middle of a scene that has none."""
     import mitsuba as mi
 
-    place = mi.ScalarTransform4f().translate(box_of(scene).center())
+    place = mi.ScalarTransform4f().translate(list(centre_of(scene)))
     return mi.load_dict(
         {"type": "perspective", "to_world": place, "film": {"type": "hdrfilm", "width": 1, "height": 1}}
     )

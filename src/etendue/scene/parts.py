@@ -11,7 +11,7 @@ import numpy as np
 
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
-from .bounds import box_of
+from .bounds import corners_of
 from .changes.transforms import settle_transforms
 from .instantiating import instantiated
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
@@ -52,8 +52,7 @@ def shape_boxes(problem: Problem) -> tuple[list[str], Array]:
         raise UnsupportedError(f"{problem.source} has several shapes with the id '{twice}'; give each its own")
     if not problem.space.is_own:
         raise UnsupportedError(f"{problem.source} is rendered in other coordinates than its own, and cannot be cut")
-    boxes = [[*np.ravel(box.min), *np.ravel(box.max)] for box in map(box_of, shapes)]
-    return ids, np.array(boxes, np.float64).reshape(-1, 6)
+    return ids, np.array([np.concatenate(corners_of(shape)) for shape in shapes]).reshape(-1, 6)
 
 
 def part_files(

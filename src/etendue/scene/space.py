@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from etendue.core import Array, logger
 
-from .bounds import box_of
+from .bounds import corners_of
 from .graph import plugin_name
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class RenderSpace:
         share, distance = _share(scene, sensor)
         if share <= _LARGEST_OFFSET:
             return cls()
-        (lower, upper), size = _corners(scene), half_diagonal(scene)
+        (lower, upper), size = corners_of(scene), half_diagonal(scene)
         eye = np.asarray(sensor.world_transform().translation(), dtype=float).ravel()[:3]
         x, y, z = (float(v) for v in np.clip(eye, lower, upper))
         scale = max(_LEAST_SIZE / size, min(_LEAST_DISTANCE / distance, _LARGEST_SIZE / size))
@@ -86,12 +86,12 @@ def largest_offset(scene: mi.Scene) -> float:
     """The largest ray offset in a loaded scene."""
     import mitsuba as mi
 
-    return float(mi.math.RayEpsilon * (1 + np.abs(_corners(scene)).max()))
+    return float(mi.math.RayEpsilon * (1 + np.abs(corners_of(scene)).max()))
 
 
 def half_diagonal(scene: mi.Scene) -> float:
     """Half the diagonal of the bounding box of a loaded scene; 0 if the box is empty."""
-    lower, upper = _corners(scene)
+    lower, upper = corners_of(scene)
     return float(np.linalg.norm(upper - lower)) / 2 if (upper >= lower).all() else 0.0
 
 
@@ -124,7 +124,7 @@ def warn_once(text: str) -> None:
 def _share(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
     """(ray offset relative to half the diagonal or to the distance of the surfaces that ``sensor`` sees, whichever is
     larger; this distance, if it was measured). The relative offset is 0 if the bounding box is empty or not finite."""
-    (lower, upper), size = _corners(scene), half_diagonal(scene)
+    (lower, upper), size = corners_of(scene), half_diagonal(scene)
     if not 0 < size < math.inf:
         return 0.0, _LEAST_DISTANCE
     share, seen, distance = largest_offset(scene) / size, 0.0, _LEAST_DISTANCE
@@ -155,8 +155,3 @@ def _seen(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
     point = origin + distance * along
     offset = float(mi.math.RayEpsilon) * (1 + np.abs(point).max(axis=0))
     return float(np.median(offset / distance)), float(np.median(distance))
-
-
-def _corners(scene: mi.Scene) -> tuple[Array, Array]:
-    box = box_of(scene)
-    return np.asarray(box.min, dtype=float).ravel(), np.asarray(box.max, dtype=float).ravel()

@@ -376,7 +376,7 @@ def _direct_infinite(
         usable = mask & (pdf > 0.0)
         radiance = dr.select(through, shone, weight * ds.pdf) / dr.select(usable, pdf, 1.0)
     out.direction[usable] = d
-    # Behind all surfaces. Mitsuba's own point may not be: see ``box_of``.
+    # Behind all surfaces. Mitsuba's own point may not be: see ``corners_of``.
     out.target[usable] = si.p + d * (2.0 * dr.maximum(lights.bound.w, dr.norm(si.p - lights.bound.xyz)))
     out.radiance[usable] = radiance
     out.pdf[usable] = pdf

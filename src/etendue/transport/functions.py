@@ -23,7 +23,7 @@ import numpy as np
 
 from etendue.core import Array, OptionError
 from etendue.integration import Box, Integrand, Integrator, integral
-from etendue.scene import Material, box_of, bsdfs, emitters, refuse_media, require_rgb, warn_of_offsets
+from etendue.scene import Material, bsdfs, corners_of, emitters, refuse_media, require_rgb, warn_of_offsets
 
 from .scattering import is_smooth
 
@@ -65,8 +65,7 @@ class TransportFunctions:
         require_rgb("functions of transport")
         self._emitters, self._bsdfs = emitters(scene), bsdfs(scene)
         warn_of_offsets(scene, self._sensor, "the scene")
-        box = box_of(scene)
-        lower, upper = np.array(box.min).ravel(), np.array(box.max).ravel()
+        lower, upper = corners_of(scene)
         if not np.isfinite([lower, upper]).all() or not (upper >= lower).all():
             lower, upper = np.zeros(3), np.zeros(3)
         eye = np.array(self._sensor.world_transform().translation(), dtype=float).ravel()[:3]

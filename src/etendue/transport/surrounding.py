@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import Array, SampleSource
-from etendue.scene import box_of
+from etendue.scene import corners_of
 
 from . import dimensions as dim
 
@@ -38,8 +38,7 @@ def surroundings(scene: mi.Scene, ray: mi.Ray3f, source: SampleSource) -> Surrou
     again = hit & second.is_valid()
     dr.eval(first.p, second.p, hit, again)
     held = [np.array(p, np.float64).T[np.array(mask)] for p, mask in ((first.p, hit), (second.p, again))]
-    seen, box = len(held[0]), box_of(scene)
-    lower, upper = (np.array(corner, np.float64).ravel() for corner in (box.min, box.max))
+    seen, (lower, upper) = len(held[0]), corners_of(scene)
     if seen >= _LEAST:
         lower, upper = np.quantile(np.concatenate(held), (_TAIL, 1.0 - _TAIL), axis=0)
     return Surroundings(1.0 - len(held[1]) / seen if seen else 1.0, lower, upper)

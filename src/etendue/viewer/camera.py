@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from etendue.core import Array, OptionError, as_array
-from etendue.scene import Problem, RenderSpace, box_of, graph
+from etendue.scene import Problem, RenderSpace, centre_of, corners_of, graph
 
 from .protocol import number, numbers
 
@@ -50,8 +50,7 @@ class Pose:
     @classmethod
     def of(cls, problem: Problem) -> Pose:
         """The pose of the sensor of a scene. The target is the point in the middle of the picture."""
-        box = box_of(problem.scene)
-        low, high = (np.asarray(p, dtype=np.float64).ravel() for p in (box.min, box.max))
+        low, high = corners_of(problem.scene)
         size = float(np.linalg.norm(high - low)) / 2
         size = size if 0 < size < math.inf else 1.0
         matrix = _matrix(problem.sensor)
@@ -289,7 +288,7 @@ def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float
     distance = float(np.asarray(hit.t).ravel()[0])  # from the near plane
     if math.isfinite(distance) and (ahead := float((start + distance * way - origin) @ forward)) > 0:
         return ahead
-    middle = np.asarray(box_of(problem.scene).center(), dtype=np.float64).ravel()
+    middle = centre_of(problem.scene)
     away = float(np.linalg.norm(middle - start))
     return away if 0 < away < math.inf else size
 

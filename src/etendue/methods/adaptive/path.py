@@ -19,7 +19,7 @@ import mitsuba as mi
 
 from etendue.core import OptionError, setting
 from etendue.film import Component
-from etendue.scene import Problem, brightness
+from etendue.scene import Problem, brightness, corners_of
 from etendue.transport import CameraPath, CameraSampler, FirstHits, Recording, Walker, WalkVertex, dimensions as dim
 
 from .. import radius as radii
@@ -82,7 +82,7 @@ class AdaptivePath(EndsInMap):
         self._maps: PhotonGrid | None = None
         if not o.maps:
             return
-        self._box = radii.corners(problem)
+        self._box = corners_of(problem.scene)
         self._discs = radii.first_radius(self, o.radius, o.radius_unit)
         self._tracer = PhotonTracer(self, seed)
         wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)

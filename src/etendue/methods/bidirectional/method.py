@@ -29,7 +29,7 @@ import numpy as np
 from etendue.core import Carrying, IndependentSource, State, logger
 from etendue.density import HashGrid
 from etendue.film import REFLECTED
-from etendue.scene import LightTable, Problem
+from etendue.scene import LightTable, Problem, corners_of
 from etendue.transport import (
     CLASSES,
     PICK_BLOCK,
@@ -133,7 +133,7 @@ class Bidirectional(Carrying, ImageMethod):
         if s.pyramid:
             check_pyramid(self.techniques, s.pyramid_depth, self.camera, problem.memory)
         self._indexed = needs_interaction(problem.scene)
-        self._box = radii.corners(problem)
+        self._box = corners_of(problem.scene)
         if s.guide_connections and self.techniques.connection and s.light_source == "cache":
             box = self._box
             if self.lights.lines is not None:  # a room: the ground outside would leave one cell for it

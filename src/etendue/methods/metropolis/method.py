@@ -67,9 +67,9 @@ _LONGEST = 16
 
 
 def beside_paths(method: ImageMethod) -> type[ImageMethod]:
-    """The estimator beside chains over camera paths: ``bpt``, but ``path`` in scenes with lights that no ray can hit or
-    that emit beams, whose light through mirrors and glass, or all, only ``bpt`` finds, and where directions are not
-    sampled by materials."""
+    """The estimator beside chains over camera paths: ``bpt``, but ``path`` where directions are not sampled by
+    materials, and in scenes with light that these chains do not find: that of beams, and through mirrors and glass that
+    of lights that no ray can hit."""
     lights = method.lights
     return Path if lights.has_delta or lights.has_beam or not method.settings.bsdf_sampling else Bpt
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from etendue.core import Carrying, CheckpointError, State, copied_to_device, setting
 from etendue.density import KdTree
-from etendue.scene import Problem
+from etendue.scene import Problem, corners_of
 from etendue.transport import Kind, WalkVertex
 
 from .. import radius as radii
@@ -108,7 +108,7 @@ class Sppm(Carrying, PhotonMapping):
         self._count = dr.zeros(mi.Float, entries)
         self._most = first * first  # upper limit of R^2
         self._passes = 0
-        self._box = radii.corners(problem)
+        self._box = corners_of(problem.scene)
         self._tree: KdTree | None = None
         if self.settings.neighbours:
             self._begin_with_nearest(first * first, seed)

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from etendue.core import Array, SceneError, as_array, copied_to_device, in_steps, on_device
 from etendue.density import BoxDensity, Boxes, LineDensity
 
-from ..bounds import box_of
+from ..bounds import corners_of
 from ..graph import contents, plugin_name
 from ..members import Members
 from ..packet import Packet, spread_wavelengths
@@ -125,10 +125,9 @@ class LightTable:
         emitters = scene.emitters()
         if not emitters:
             raise SceneError("the scene has no emitter, so every picture would be black; add a light source")
-        box = box_of(scene)
-        sphere = box.bounding_sphere()
         #: Corners of the box of the scene's geometry, on the host.
-        self.box = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+        self.box = corners_of(scene)
+        sphere = mi.ScalarBoundingBox3f(*map(mi.ScalarPoint3f, self.box)).bounding_sphere()
         #: Centre and radius R of the sphere that bounds the scene's geometry.
         self.centre, self.radius = sphere.center, float(np.asarray(sphere.radius).ravel()[0])
 
@@ -371,8 +370,7 @@ class _Row:
             even = 4.0 * np.pi * self.direction_density
             return Lamp(power, place[:3, 3].tolist(), 0.0, axis.tolist(), even, 0.0, cosine - 1e-4)
         shape = emitter.get_shape()
-        box = box_of(shape)
-        low, high = (np.asarray(corner, np.float64).ravel() for corner in (box.min, box.max))
+        low, high = corners_of(shape)
         centre, extent = (0.5 * (low + high)).tolist(), 0.5 * float(np.linalg.norm(high - low))
         if self.kind == "area" and plugin_name(shape) in ("rectangle", "disk"):
             normal = np.asarray(shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n, np.float64).ravel()

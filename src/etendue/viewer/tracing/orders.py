@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import Array, SceneError, State, on_host
-from etendue.scene import LightEdits, PortableScene, Problem, box_of, locate, portable, restored
+from etendue.scene import LightEdits, PortableScene, Problem, corners_of, locate, portable, restored
 
 from ..camera import Pose, place
 from ..refining import Refinement
@@ -47,7 +47,7 @@ class SceneCopy:
             removed=asked.lights.removed,
             changes=session.panels["parameters"].state()["changes"],
             variant=mi.variant(),
-            corners=_corners(session.problem),
+            corners=corners_of(session.problem.scene),
         )
 
     def load(self, load: Callable[[Asked, Mapping[str, Any]], Problem]) -> Problem:
@@ -59,7 +59,7 @@ class SceneCopy:
         lights, _ = restored(self.lights, Path())
         asked = replace(self.asked, scene=scene, lights=LightEdits(self.removed, tuple(lights["added"])))
         problem = load(asked, self.changes)
-        if not np.allclose(_corners(problem), self.corners, rtol=1e-4):
+        if not np.allclose(corners_of(problem.scene), self.corners, rtol=1e-4):
             raise SceneError("its file has changed since it was opened")
         return problem
 
@@ -103,12 +103,6 @@ class Order:
     message: Mapping[str, Any]
     scene: SceneCopy | None  #: None: the scene of the order before
     view: View | None  #: None if the answer does not depend on it
-
-
-def _corners(problem: Problem) -> tuple[Array, Array]:
-    box = box_of(problem.scene)
-    low, high = (np.asarray(corner, dtype=np.float64).ravel() for corner in (box.min, box.max))
-    return low, high
 
 
 def _without_scene(asked: Asked) -> Asked:
